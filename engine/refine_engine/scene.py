@@ -100,8 +100,7 @@ class Camera:
         """
         a, e = math.radians(azimuth_degrees), math.radians(elevation_degrees)
         forward = [-math.cos(e) * math.sin(a), -math.sin(e), -math.cos(e) * math.cos(a)]
-        right = [-math.cos(a), 0.0, math.sin(a)]
-        right = [-r for r in right]
+        right = [math.cos(a), 0.0, -math.sin(a)]
         down = [
             forward[1] * right[2] - forward[2] * right[1],
             forward[2] * right[0] - forward[0] * right[2],
