@@ -1,0 +1,76 @@
+"""Every number of the method, with its unit and the paper's value.
+
+Lengths are in units of the normalised mesh: the longest side of its bounding box is 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from .errors import OptionsInvalid
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the losses, which are means over their elements (paper, section 4)."""
+
+    silhouette: float = 10.0
+    image_symmetry: float = 80.0
+    vertex_symmetry: float = 20.0
+    displacement: float = 100.0
+    normal_consistency: float = 10.0
+    laplacian: float = 10.0
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stretch of the optimisation at one image size and one softness."""
+
+    iterations: int
+    render_size: int
+    """Side of the square soft renders, pixels."""
+    softness: float
+    """Squared distance over which the silhouette fades, in normalised device units (image side = 2)."""
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """The numbers of one run. The defaults are the recommended preset; `paper()` and `fast()` are the others."""
+
+    stages: tuple[Stage, ...] = (Stage(100, 56, 3e-3), Stage(100, 112, 6e-4), Stage(200, 224, 1e-4))
+    weights: Weights = field(default_factory=Weights)
+    confidence_cost: float = 0.0005
+    """lambda_B: what it costs to call a place asymmetric."""
+    learning_rate: float = 7e-5
+    encoder_size: int = 224
+    """Side of the silhouette that the encoder sees, pixels."""
+    symmetry_azimuths_degrees: tuple[float, ...] = (15.0, 45.0, 75.0)
+    symmetry_elevations_degrees: tuple[float, ...] = (-45.0, 45.0)
+    symmetry_distance: float = 1.9
+    symmetry_fov_degrees: float = 60.0
+    symmetry_normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Normal of the mirror plane, world frame."""
+    symmetry_offset: float | None = None
+    """The plane is normal.x = offset, world units; None: where the mirrored coarse mesh is nearest to itself."""
+    seed: int = 0
+    """Of the network's random weights."""
+
+    def __post_init__(self) -> None:
+        length = math.sqrt(sum(x * x for x in self.symmetry_normal))
+        if not (math.isfinite(length) and length > 1e-6):
+            raise OptionsInvalid(f"expected a symmetry_normal with a direction, got {self.symmetry_normal}")
+        if self.symmetry_offset is not None and not math.isfinite(self.symmetry_offset):
+            raise OptionsInvalid(f"expected a finite symmetry_offset, got {self.symmetry_offset}")
+        if not self.stages or min(s.iterations for s in self.stages) < 1:
+            raise OptionsInvalid(f"expected stages of at least one iteration, got {self.stages}")
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of all stages together."""
+        return sum(stage.iterations for stage in self.stages)
+
+    @staticmethod
+    def paper() -> RefineConfig:
+        """The published method, for comparison with the literature: one stage, plane through the world origin."""
+        return RefineConfig(stages=(Stage(400, 224, 1e-4),), symmetry_offset=0.0)

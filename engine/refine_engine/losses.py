@@ -1,0 +1,71 @@
+"""The six losses, one pure function each, means over their elements (paper, section 3.3 and 3.4)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .topology import Topology
+
+LEAST_DEPTH = 1e-4  # optical depth of a pixel at the edge of a face's reach; beyond it a miss costs no more
+
+
+def alpha(optical_depth: Tensor) -> Tensor:
+    """Soft silhouette 1 - exp(-S)."""
+    return -torch.expm1(-optical_depth)
+
+
+def silhouette(optical_depth: Tensor, target: Tensor, known: Tensor) -> Tensor:
+    """Binary cross entropy of alpha = 1 - exp(-S) against the target, mean over the pixels that are known.
+
+    -log(1 - alpha) = S exactly, and -log(alpha) = -log(-expm1(-S)): nothing saturates. All (B, N, N).
+    """
+    outside = optical_depth
+    inside = -torch.log(-torch.expm1(-optical_depth.clamp_min(LEAST_DEPTH)))
+    cross_entropy = target * inside + (1 - target) * outside
+    return (cross_entropy * known).sum() / known.sum()
+
+
+def confidence_cost(confidence: Tensor, cost: float) -> Tensor:
+    """lambda_B ln(1 / sigma): what it costs to call a place asymmetric."""
+    return -cost * torch.log(confidence.clamp_min(1e-6))
+
+
+def image_symmetry(
+    seen: Tensor,  # (B, N, N) optical depth at the cameras p
+    mirrored: Tensor,  # (B, N, N) optical depth at the reflected cameras T p
+    confidence: Tensor,  # (B, N, N) sigma on the visible faces at T p
+    covered: Tensor,  # (B, N, N) 1 where a face is visible at T p
+    cost: float,
+) -> Tensor:
+    """Mean over view pairs and pixels of sigma (flip(alpha at p) - alpha at T p)^2 + lambda_B ln(1 / sigma)."""
+    difference = (alpha(seen).flip(-1) - alpha(mirrored)).square()
+    return (covered * (confidence * difference + confidence_cost(confidence, cost))).mean()
+
+
+def vertex_symmetry(vertices: Tensor, nearest: Tensor, mirror: Tensor, confidence: Tensor, cost: float) -> Tensor:
+    """Mean over v of sigma_v min_u |T v - u|^2 + lambda_B ln(1 / sigma_v).
+
+    vertices (V, 3), nearest (V,) index of u for each v, mirror (3, 3) = T, confidence (V,).
+    """
+    distance2 = (vertices @ mirror - vertices[nearest]).square().sum(1)
+    return (confidence * distance2 + confidence_cost(confidence, cost)).mean()
+
+
+def displacement(offsets: Tensor) -> Tensor:
+    """Mean squared displacement per coordinate. (V, 3)"""
+    return offsets.square().mean()
+
+
+def normal_consistency(vertices: Tensor, topology: Topology) -> Tensor:
+    """Mean over hinges of 1 - cos of the fold angle; from the shared edge, so the winding does not matter."""
+    start, end, one, other = vertices[topology.hinges].unbind(1)  # (P, 3) each
+    edge = end - start
+    normal = torch.linalg.cross(edge, one - start)
+    opposite = torch.linalg.cross(other - start, edge)
+    return (1 - torch.cosine_similarity(normal, opposite, dim=1, eps=1e-12)).mean() if len(edge) else edge.sum()
+
+
+def laplacian(vertices: Tensor, neighbour_mean: Tensor) -> Tensor:
+    """Uniform Laplacian: mean over v of |mean of its neighbours - v|. Both (V, 3)."""
+    return ((neighbour_mean - vertices).square().sum(1) + 1e-12).sqrt().mean()

@@ -1,0 +1,37 @@
+"""The differentiable soft silhouette and the hard rasteriser: one numeric specification, several back ends.
+
+`oracle` states the specification and computes it in plain torch, on any device; it decides what is right.
+`cpu` is the fast path for CPU tensors. Tests hold them together, values and gradients.
+"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from . import cpu, oracle
+from .fragments import Fragments, interpolate
+
+__all__ = ["Fragments", "interpolate", "optical_depth", "rasterize"]
+
+
+def optical_depth(
+    screen: Tensor,  # (B, V, 3) x, y in pixels, depth
+    faces: Tensor,  # (F, 3) int64
+    side: int,  # of the square image, pixels
+    softness: float,  # in squared normalised device units (side = 2)
+) -> Tensor:
+    """S (B, side, side): alpha = 1 - exp(-S). Differentiable with respect to x and y of `screen`."""
+    if screen.device.type == "cpu":
+        return cpu.optical_depth(screen, faces, side, softness)
+    return oracle.optical_depth(screen, faces, side, softness)
+
+
+def rasterize(
+    screen: Tensor,  # (B, V, 3) x, y in pixels, depth
+    faces: Tensor,  # (F, 3) int64
+    size: tuple[int, int],  # height, width in pixels
+) -> Fragments:
+    """The visible face and the barycentric weights at every pixel centre. Not differentiable."""
+    if screen.device.type == "cpu":
+        return cpu.rasterize(screen, faces, size)
+    return oracle.rasterize(screen, faces, size)

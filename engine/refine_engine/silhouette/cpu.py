@@ -1,0 +1,82 @@
+"""CPU back end: the kernels, driven over the views by a small thread pool, as an autograd function.
+
+The pool has as many threads as torch uses inside an operator (`torch.set_num_threads`, set once in `main`):
+the two never run at the same time, so one number bounds both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from . import kernels
+from .fragments import Fragments
+from .oracle import CUTOFF
+
+
+@lru_cache(maxsize=1)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="refine-silhouette")
+
+
+def _each_view(views: int, work: Callable[[int], None]) -> None:
+    threads = min(torch.get_num_threads(), views)
+    if threads == 1:
+        for view in range(views):
+            work(view)
+    else:
+        list(_pool(torch.get_num_threads()).map(work, range(views)))
+
+
+class _OpticalDepth(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, screen: Tensor, faces: Tensor, side: int, softness: float) -> Tensor:
+        points = screen.detach().contiguous().numpy()
+        corners = faces.to(torch.int32).numpy()
+        softness_px = softness * (side / 2) ** 2
+        radius = math.sqrt(CUTOFF * softness_px)
+        image = np.zeros((len(points), side, side + kernels.LANES), np.float32)
+        args = np.float32(softness_px), np.float32(radius)
+        _each_view(len(points), lambda i: kernels.optical_depth(points[i], corners, *args, image[i]))
+        ctx.points, ctx.corners, ctx.args = points, corners, args
+        return torch.from_numpy(image)[:, :, :side]
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
+        (grad,) = grads
+        views, side = grad.shape[0], grad.shape[1]
+        padded = np.zeros((views, side, side + kernels.LANES), np.float32)
+        padded[:, :, :side] = grad.numpy()
+        following = np.empty((views, side, side + 1), np.int32)
+        out = np.zeros((views, ctx.points.shape[1], 3), np.float32)
+
+        def one(i: int) -> None:
+            kernels.next_nonzero(padded[i, :, :side], following[i])
+            kernels.optical_depth_backward(ctx.points[i], ctx.corners, *ctx.args, padded[i], following[i], out[i])
+
+        _each_view(views, one)
+        return torch.from_numpy(out), None, None, None
+
+
+def optical_depth(screen: Tensor, faces: Tensor, side: int, softness: float) -> Tensor:
+    """S (B, side, side) by the specification in `oracle`, differentiable."""
+    return _OpticalDepth.apply(screen, faces, side, softness)
+
+
+def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments:
+    """The visible face at every pixel centre by a z-buffer."""
+    points, corners = screen.detach().contiguous().numpy(), faces.to(torch.int32).numpy()
+    views = len(points)
+    depth: NDArray[np.float32] = np.empty((views, *size), np.float32)
+    face = np.empty((views, *size), np.int64)
+    weight = np.empty((views, *size, 3), np.float32)
+    _each_view(views, lambda i: kernels.rasterize(points[i], corners, depth[i], face[i], weight[i]))
+    return Fragments(torch.from_numpy(face), torch.from_numpy(weight))
