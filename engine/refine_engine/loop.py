@@ -21,7 +21,7 @@ from .errors import Cancelled, Diverged
 from .network import Refiner, initialise
 from .problem import Frame, Target, resize, symmetry_views, unit_normal
 from .scene import Mesh, Progress, Result, View
-from .silhouette import interpolate, optical_depth, rasterize
+from .silhouette import cpu, interpolate, optical_depth, rasterize
 from .symmetry import mirror_matrix, nearest_mirrored
 from .topology import Topology, neighbour_sum
 
@@ -103,13 +103,11 @@ class Objective:
         depth = optical_depth(torch.cat([mesh_views, both]), self.topology.faces, stage.render_size, stage.softness)
         n, m = len(mesh_views), len(self.p)
         fragments = rasterize(both[m:], self.topology.faces, (stage.render_size,) * 2)
-        sigma = interpolate(fragments, self.topology.faces, confidence)
-        covered = (fragments.face >= 0).to(torch.float32)
         nearest = nearest_mirrored(vertices, self.mirror)
         mean = neighbour_sum(vertices, self.topology) / self.topology.degree
         return [
             w.silhouette * losses.silhouette(depth[:n], t.silhouette, t.known),
-            w.image_symmetry * losses.image_symmetry(depth[n:n+m], depth[n+m:], sigma, covered, c.confidence_cost),
+            w.image_symmetry * cpu.image_symmetry(depth[n:n+m], depth[n+m:], fragments, self.topology.faces, confidence, c.confidence_cost),
             w.vertex_symmetry * losses.vertex_symmetry(vertices, nearest, self.mirror, confidence, c.confidence_cost),
             w.displacement * losses.displacement(offsets),
             w.normal_consistency * losses.normal_consistency(vertices, self.topology),

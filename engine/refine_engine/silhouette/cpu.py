@@ -80,3 +80,42 @@ def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments
     weight = np.empty((views, *size, 3), np.float32)
     _each_view(views, lambda i: kernels.rasterize(points[i], corners, depth[i], face[i], weight[i]))
     return Fragments(torch.from_numpy(face), torch.from_numpy(weight))
+
+
+class _ImageSymmetry(torch.autograd.Function):
+    """One pass over the covered pixels computes the loss and, because it is a scalar, its gradients too."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, seen: Tensor, mirrored: Tensor, fragments: Fragments, faces: Tensor, confidence: Tensor, cost: float
+    ) -> Tensor:
+        views = len(seen)
+        s, m, sigma = seen.detach().numpy(), mirrored.detach().numpy(), confidence.detach().numpy()
+        face, weight, corners = fragments.face.numpy(), fragments.barycentric.numpy(), faces.to(torch.int32).numpy()
+        d_seen, d_mirrored = np.empty(s.shape, np.float32), np.empty(s.shape, np.float32)
+        d_sigma = np.zeros((views, len(sigma)), np.float32)
+        total = np.zeros(views)
+
+        def one(i: int) -> None:
+            total[i] = kernels.image_symmetry(
+                s[i], m[i], face[i], weight[i], corners, sigma, np.float32(cost), d_seen[i], d_mirrored[i], d_sigma[i]
+            )
+
+        _each_view(views, one)
+        ctx.gradients = [torch.from_numpy(g) for g in (d_seen, d_mirrored, d_sigma.sum(0))]
+        ctx.pixels = s.size
+        return torch.tensor(total.sum() / s.size, dtype=torch.float32)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None, None, Tensor, None]:
+        scale = grads[0] / ctx.pixels
+        seen, mirrored, sigma = (g * scale for g in ctx.gradients)
+        return seen, mirrored, None, None, sigma, None
+
+
+def image_symmetry(
+    seen: Tensor, mirrored: Tensor, fragments: Fragments, faces: Tensor, confidence: Tensor, cost: float
+) -> Tensor:
+    """`losses.image_symmetry` in one pass: the same value and gradients."""
+    result: Tensor = _ImageSymmetry.apply(seen, mirrored, fragments, faces, confidence, cost)
+    return result

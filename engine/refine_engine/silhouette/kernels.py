@@ -228,3 +228,34 @@ def rasterize(screen, faces, depth, face_image, weight_image):
                     weight_image[y, x, 0] = wa * ia * z
                     weight_image[y, x, 1] = wb * ib * z
                     weight_image[y, x, 2] = wc * ic * z
+
+
+@jit
+def image_symmetry(seen, mirrored, face_image, weight_image, faces, confidence, cost, d_seen, d_mirrored, d_confidence):
+    """Sum over the covered pixels of one view pair of sigma (flip(alpha) - alpha')^2 + cost ln(1 / sigma).
+
+    Writes its derivatives with respect to both optical depths (H, W) and adds those of the confidence (V,).
+    """
+    height, width = seen.shape
+    d_seen[:] = ZERO
+    d_mirrored[:] = ZERO
+    total = 0.0
+    for y in range(height):
+        for x in range(width):
+            f = face_image[y, x]
+            if f < 0:
+                continue
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            wa, wb, wc = weight_image[y, x, 0], weight_image[y, x, 1], weight_image[y, x, 2]
+            sigma = max(wa * confidence[a] + wb * confidence[b] + wc * confidence[c], f32(1e-6))
+            clear = exp_negative(seen[y, width - 1 - x])
+            clear_mirrored = exp_negative(mirrored[y, x])
+            difference = clear_mirrored - clear  # flip(alpha) - alpha'
+            total += sigma * difference * difference - cost * math.log(sigma)
+            d_seen[y, width - 1 - x] = TWO * sigma * difference * clear
+            d_mirrored[y, x] = -TWO * sigma * difference * clear_mirrored
+            d_sigma = difference * difference - cost / sigma
+            d_confidence[a] += wa * d_sigma
+            d_confidence[b] += wb * d_sigma
+            d_confidence[c] += wc * d_sigma
+    return total
