@@ -1,0 +1,99 @@
+"""The command `refine`: finds the subcommand's implementation and hands it the rest of the command line.
+
+Implementations are entry points of the group `refine.commands`: functions `(argv: Sequence[str]) -> int`
+whose result is the exit code: 0 done, 1 failed, 2 bad input. Only the one asked for is imported, so
+`refine --help` needs neither torch nor numpy.
+"""
+
+import difflib
+import sys
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from typing import NamedTuple
+
+DISTRIBUTION = "refine-mesh"
+INTERRUPTED = 130  # what a shell reports for a process that ended on Ctrl-C
+
+
+class Command(NamedTuple):
+    help: str
+    extra: str = ""  # the extra of the distribution that brings it; empty: the base install
+
+
+COMMANDS = {
+    "run": Command("refine one mesh in this process", "engine"),
+    "eval": Command("compare a mesh with the ground truth: EMD, Chamfer-l2, F-score, IoU", "engine"),
+    "bench": Command("refine and score a whole data set", "engine"),
+    "demo": Command("refine the sample through a server started for it", "all"),
+    "serve": Command("run everything here: Redis, service and worker", "service"),
+    "service": Command("run the REST and gRPC service", "service"),
+    "keys": Command("create and revoke API keys", "service"),
+    "worker": Command("run worker slots", "worker"),
+    "submit": Command("send a mesh, a silhouette and a camera to a server"),
+    "get": Command("show one refinement"),
+    "list": Command("list refinements"),
+    "watch": Command("follow the progress of a refinement"),
+    "cancel": Command("cancel a refinement"),
+    "download": Command("fetch the artifacts of a refinement"),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one subcommand and returns the exit code; a KeyboardInterrupt becomes 130 without a traceback."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_help())
+        return 0 if arguments else 2
+    if arguments[0] in ("-V", "--version"):
+        print(f"refine {metadata.version(DISTRIBUTION)}")
+        return 0
+    try:
+        command = _load(arguments[0])
+        return command(arguments[1:])
+    except _NotRunnable as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+class _NotRunnable(Exception):
+    """The command does not exist, or what it needs is not installed."""
+
+
+def _load(name: str) -> Callable[[Sequence[str]], int]:
+    if name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else "refine --help lists them"
+        raise _NotRunnable(f"expected a command of refine, got {name!r}; {hint}")
+    extra = COMMANDS[name].extra
+    install = f"pip install '{DISTRIBUTION}[{extra}]'" if extra else f"pip install --upgrade {DISTRIBUTION}"
+    entry_point = _installed().get(name)
+    if entry_point is None:
+        raise _NotRunnable(f"refine {name} is not part of this installation; {install}")
+    try:
+        command: Callable[[Sequence[str]], int] = entry_point.load()
+    except ModuleNotFoundError as error:
+        raise _NotRunnable(f"refine {name} needs {error.name}, which is not installed; {install}") from error
+    return command
+
+
+def _installed() -> dict[str, metadata.EntryPoint]:
+    return {entry_point.name: entry_point for entry_point in metadata.entry_points(group="refine.commands")}
+
+
+def _help() -> str:
+    installed = _installed()
+    rows = [f"  {name:<10}{command.help}" for name, command in COMMANDS.items() if name in installed]
+    return "\n".join(
+        [
+            "usage: refine COMMAND [ARGUMENTS]",
+            "",
+            "Refines a coarse mesh at test time from its silhouette and camera.",
+            "",
+            *rows,
+            "",
+            "refine COMMAND --help explains a command; refine --version prints the version.",
+        ]
+    )
