@@ -3,11 +3,11 @@
     {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9, "fov_y_degrees": 60}
     {"type": "matrix", "convention": "opengl", "camera_to_world": [[...], ...], "fov_y_degrees": 40}
     {"type": "matrix", "convention": "opencv", "world_to_camera": [[...], ...],
-     "intrinsics": {"fx": 500, "fy": 500, "cx": 320, "cy": 240}, "width": 640, "height": 480}
+     "intrinsics": {"fx": 500, "fy": 500, "cx": 320, "cy": 240, "width": 640, "height": 480}}
 
-Either type may say `"projection": "orthographic"`; the scale is then `view_height`, the world units that the
-image spans from top to bottom (or, with `intrinsics`, fx and fy in pixels per world unit). `width` and
-`height` are optional and must be those of the silhouette.
+A matrix is four rows of four numbers, or the same 16 in one list, and acts on column vectors. It may say
+`"projection": "orthographic"`: fx and fy of its intrinsics are then pixels per world unit. `width` and
+`height` of the intrinsics are optional; given, they must be those of the silhouette.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ AXES: Mapping[Convention, tuple[float, float, float, float]] = {
 }
 DIRECTIONS: tuple[Direction, ...] = ("world_to_camera", "camera_to_world")
 PROJECTIONS: tuple[Projection, ...] = ("perspective", "orthographic")
-INTRINSICS = ("fx", "fy", "cx", "cy")
-LENS_FIELDS = ("projection", "fov_y_degrees", "view_height", "width", "height")
+LENSES = ("intrinsics", "fov_y_degrees")
 FIELDS = {
-    "look_at": ("type", "azimuth_degrees", "elevation_degrees", "distance", *LENS_FIELDS),
-    "matrix": ("type", "convention", *DIRECTIONS, "intrinsics", *LENS_FIELDS),
+    "look_at": ("type", "azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees"),
+    "matrix": ("type", "convention", *DIRECTIONS, *LENSES, "projection"),
 }
+INTRINSICS = ("fx", "fy", "cx", "cy", "width", "height")
 
 
 def read_camera(data: bytes, width: int, height: int) -> Camera:
@@ -71,14 +71,12 @@ def camera_from_spec(spec: Mapping[str, object], width: int, height: int) -> Cam
     """The camera that `spec` describes, for an image of `width` x `height` pixels.
 
     Raises CameraInvalid for an unknown field (with the nearest valid name), a missing or contradictory one,
-    a value out of range, a matrix that is no rigid motion, and a `width` or `height` that is not the
-    silhouette's.
+    a value out of range, a matrix that is no rigid motion, and intrinsics for another size of image.
     """
     _check_fields(spec, FIELDS[_choice(spec, "type", tuple(FIELDS))], "the camera")
-    _check_size(spec, width, height)
     if spec["type"] == "look_at":
         return _look_at(spec, width, height)
-    return _matrix_reading(spec).camera(_lens(spec, width, height))
+    return _matrix_reading(spec).camera(_lens_of_matrix(spec, width, height))
 
 
 def other_conventions(spec: Mapping[str, object], width: int, height: int) -> dict[str, Camera]:
@@ -103,10 +101,8 @@ def _look_at(spec: Mapping[str, object], width: int, height: int) -> Camera:
     azimuth = _number(spec, "azimuth_degrees")
     elevation = _number(spec, "elevation_degrees", -90.0, 90.0)
     distance = _number(spec, "distance", 0.0, math.inf, open_ends=True)
-    lens = _lens(spec, width, height)
-    # the field of view given here is a placeholder: the lens replaces the intrinsics
-    pose = Camera.look_at(azimuth, elevation, distance, DEFAULT_FOV_Y_DEGREES, width, height)
-    return replace(lens, world_to_camera=pose.world_to_camera)
+    fov_y = _fov_y_degrees(spec, default=DEFAULT_FOV_Y_DEGREES)
+    return Camera.look_at(azimuth, elevation, distance, fov_y, width, height)
 
 
 def _other_look_ats(spec: Mapping[str, object], given: Camera) -> dict[str, Camera]:
@@ -169,7 +165,9 @@ def _matrix_reading(spec: Mapping[str, object]) -> _MatrixReading:
 
 def _rigid(value: object, name: str) -> Tensor:
     """(4, 4) float64. That the rotation is one is checked by Camera."""
-    rows = value if isinstance(value, list | tuple) else []
+    rows = list(value) if isinstance(value, list | tuple) else []
+    if len(rows) == 16:
+        rows = [rows[i : i + 4] for i in range(0, 16, 4)]
     if len(rows) != 4 or any(not isinstance(row, list | tuple) or len(row) != 4 for row in rows):
         raise CameraInvalid(f"expected {name} as four rows of four numbers, got {_short(value)}")
     cells = [_finite(cell, f"{name}[{i}][{j}]") for i, row in enumerate(rows) for j, cell in enumerate(row)]
@@ -197,44 +195,38 @@ def _other_matrices(spec: Mapping[str, object], given: Camera) -> dict[str, Came
 # ------------------------------------------------------------------------------------------------- lens
 
 
-def _lens(spec: Mapping[str, object], width: int, height: int) -> Camera:
-    """The intrinsics and the projection as a camera at the origin."""
+def _lens_of_matrix(spec: Mapping[str, object], width: int, height: int) -> Camera:
+    """The intrinsics and the projection of a `matrix` spec, as a camera at the origin."""
     projection = _choice(spec, "projection", PROJECTIONS, default="perspective")
-    scale = "view_height" if projection == "orthographic" else "fov_y_degrees"
-    wrong = "fov_y_degrees" if projection == "orthographic" else "view_height"
-    if wrong in spec:
-        raise CameraInvalid(f"expected {scale} for projection {projection}, got {wrong}")
-    given = [name for name in (scale, "intrinsics") if name in spec]
-    if spec["type"] == "matrix" and len(given) != 1:
-        raise _not_exactly_one((scale, "intrinsics"), given)
+    given = [name for name in LENSES if name in spec]
+    if len(given) != 1:
+        raise _not_exactly_one(LENSES, given)
+    if projection == "orthographic" and given != ["intrinsics"]:
+        raise CameraInvalid("expected intrinsics for an orthographic camera, got fov_y_degrees")
     if "intrinsics" in spec:
-        fx, fy, cx, cy = _intrinsics(spec["intrinsics"])
+        fx, fy, cx, cy = _intrinsics(spec["intrinsics"], width, height)
     else:
+        fx = fy = 0.5 * height / math.tan(math.radians(_fov_y_degrees(spec)) / 2)
         cx, cy = width / 2, height / 2
-        if projection == "orthographic":
-            fx = fy = height / _number(spec, scale, 0.0, math.inf, open_ends=True)
-        else:
-            fov_y = _number(spec, scale, 0.0, 180.0, open_ends=True, default=DEFAULT_FOV_Y_DEGREES)
-            fx = fy = 0.5 * height / math.tan(math.radians(fov_y) / 2)
     return Camera(torch.eye(4), fx, fy, cx, cy, width, height, projection)
 
 
-def _intrinsics(value: object) -> tuple[float, float, float, float]:
+def _fov_y_degrees(spec: Mapping[str, object], default: float | None = None) -> float:
+    return _number(spec, "fov_y_degrees", 0.0, 180.0, open_ends=True, default=default)
+
+
+def _intrinsics(value: object, width: int, height: int) -> tuple[float, float, float, float]:
     if not isinstance(value, Mapping):
         raise CameraInvalid(f"expected intrinsics {{fx, fy, cx, cy}} in pixels, got {_short(value)}")
     _check_fields(value, INTRINSICS, "intrinsics")
+    told = (_number(value, "width", default=width), _number(value, "height", default=height))
+    if told != (width, height):
+        raise CameraInvalid(
+            f"expected intrinsics for the silhouette's {width}x{height} pixels, got some for "
+            f"{told[0]:g}x{told[1]:g}; scale them, or give the silhouette of that size"
+        )
     fx, fy = (_number(value, name, 0.0, math.inf, open_ends=True) for name in ("fx", "fy"))
     return fx, fy, _number(value, "cx"), _number(value, "cy")
-
-
-def _check_size(spec: Mapping[str, object], width: int, height: int) -> None:
-    size = {"width": width, "height": height}
-    told = {name: _number(spec, name, default=size[name]) for name in size}
-    if told != size:
-        raise CameraInvalid(
-            f"expected a camera for the silhouette's {width}x{height} pixels, got one for "
-            f"{told['width']:g}x{told['height']:g}; scale the intrinsics or give the silhouette of that size"
-        )
 
 
 # ------------------------------------------------------------------------------------- fields and values
@@ -271,7 +263,7 @@ def _number(
     if name not in spec and default is not None:
         return default
     if name not in spec:
-        raise CameraInvalid(f"expected {name} in the camera, got {', '.join(map(_short, spec))}")
+        raise CameraInvalid(f"expected {name}, got only {', '.join(map(_short, spec))}")
     value = _finite(spec[name], name)
     inside = low < value < high if open_ends else low <= value <= high
     if not inside:

@@ -118,21 +118,24 @@ def test_unequal_intrinsics_on_a_tall_image() -> None:
     assert pixel(camera_from_spec(spec, 80, 160), 1, 1, 0) == [10 + 15, 70 - 20, 2]
 
 
-@pytest.mark.parametrize(
-    "spec",
-    [
-        {**LOOK_AT, "fov_y_degrees": None, "projection": "orthographic", "view_height": 4},
-        matrix_spec("opengl", "camera_to_world", FRONT["opengl", "camera_to_world"], view_height=4)
-        | {"projection": "orthographic"},
-        matrix_spec("opengl", "camera_to_world", FRONT["opengl", "camera_to_world"])
-        | {"projection": "orthographic", "intrinsics": {"fx": 25, "fy": 25, "cx": 100, "cy": 50}},
-    ],
-)
-def test_orthographic_ignores_the_depth(spec: Mapping[str, object]) -> None:
-    given = {name: value for name, value in spec.items() if value is not None}
-    camera = camera_from_spec(given, WIDTH, HEIGHT)  # 100 pixels span 4 units: 25 pixels each
+def test_orthographic_ignores_the_depth() -> None:
+    intrinsics = {"fx": 25, "fy": 25, "cx": 100, "cy": 50}
+    spec = matrix_spec("opengl", "camera_to_world", FRONT["opengl", "camera_to_world"], intrinsics=intrinsics)
+    camera = camera_from_spec({**spec, "projection": "orthographic"}, WIDTH, HEIGHT)
     assert pixel(camera, 1, 1, 0)[:2] == [125, 25]
     assert pixel(camera, 1, 1, 1)[:2] == [125, 25]
+
+
+def test_sixteen_numbers_are_four_rows() -> None:
+    rows = FRONT["opengl", "world_to_camera"]
+    flat = matrix_spec("opengl", "world_to_camera", [cell for row in rows for cell in row])
+    assert pixel(camera_from_spec(flat, WIDTH, HEIGHT), 1, 0, 1) == [150, 50, 1]
+
+
+def test_intrinsics_may_say_their_size() -> None:
+    intrinsics = {**INTRINSICS, "width": WIDTH, "height": HEIGHT}
+    spec = matrix_spec("opengl", "world_to_camera", FRONT["opengl", "world_to_camera"], intrinsics=intrinsics)
+    assert camera_from_spec(spec, WIDTH, HEIGHT).cx == 100
 
 
 GOOD_MATRIX = FRONT["opengl", "camera_to_world"]
@@ -144,16 +147,27 @@ GOOD_MATRIX = FRONT["opengl", "camera_to_world"]
         ({}, "expected type to be one of look_at, matrix, got none"),
         ({"type": "lookat"}, "got 'lookat'; did you mean look_at?"),
         ({**LOOK_AT, "azimut_degrees": 1}, "got 'azimut_degrees'; did you mean azimuth_degrees?"),
-        ({"type": "look_at", "azimuth_degrees": 1}, "expected elevation_degrees in the camera, got 'type'"),
+        ({"type": "look_at", "azimuth_degrees": 1}, "expected elevation_degrees, got only 'type'"),
         ({**LOOK_AT, "elevation_degrees": 91}, "expected elevation_degrees between -90 and 90, got 91"),
         ({**LOOK_AT, "distance": 0}, "expected distance above 0, got 0"),
         ({**LOOK_AT, "distance": True}, "expected distance to be a finite number, got True"),
         ({**LOOK_AT, "distance": math.nan}, "expected distance to be a finite number, got nan"),
         ({**LOOK_AT, "distance": 10**400}, "expected distance to be a finite number, got 1000"),
         ({**LOOK_AT, "fov_y_degrees": 180}, "expected fov_y_degrees between 0 and 180, got 180"),
-        ({**LOOK_AT, "view_height": 2}, "expected fov_y_degrees for projection perspective, got view_height"),
-        ({**LOOK_AT, "projection": "orthographic"}, "expected view_height for projection orthographic"),
-        ({**LOOK_AT, "width": 100, "height": 200}, "the silhouette's 200x100 pixels, got one for 100x200"),
+        (
+            matrix_spec("opengl", "camera_to_world", GOOD_MATRIX, fov_y_degrees=60)
+            | {"projection": "orthographic"},
+            "expected intrinsics for an orthographic camera, got fov_y_degrees",
+        ),
+        (
+            matrix_spec(
+                "opengl",
+                "camera_to_world",
+                GOOD_MATRIX,
+                intrinsics=INTRINSICS | {"width": 100, "height": 200},
+            ),
+            "expected intrinsics for the silhouette's 200x100 pixels, got some for 100x200",
+        ),
         ({"type": "matrix", "convention": "OpenGL"}, "got 'OpenGL'; did you mean opengl?"),
         (matrix_spec("opengl", "camera_to_word", GOOD_MATRIX), "did you mean camera_to_world?"),
         (
@@ -166,11 +180,11 @@ GOOD_MATRIX = FRONT["opengl", "camera_to_world"]
         ),
         (
             matrix_spec("opengl", "camera_to_world", GOOD_MATRIX) | {"fov_y_degrees": 40},
-            "expected exactly one of fov_y_degrees, intrinsics, got fov_y_degrees and intrinsics",
+            "expected exactly one of intrinsics, fov_y_degrees, got intrinsics and fov_y_degrees",
         ),
         (
             matrix_spec("opengl", "camera_to_world", GOOD_MATRIX, intrinsics={"fx": 50, "fy": 50, "cx": 1}),
-            "expected cy in the camera",
+            "expected cy, got only 'fx', 'fy', 'cx'",
         ),
         (
             matrix_spec("opengl", "camera_to_world", GOOD_MATRIX, intrinsics=[50, 50, 1, 1]),
