@@ -1,0 +1,171 @@
+"""`refine run MESH SILHOUETTE --camera CAMERA.json -o DIR`: one refinement in this process."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NoReturn
+
+import torch
+
+from ..artifacts import make_artifacts
+from ..camera_spec import parse_spec
+from ..config import RefineConfig
+from ..errors import InputError, OptionsInvalid, RefineError
+from ..inputs import Inputs, read_inputs
+from ..loop import refine
+from ..options import PRESETS, make_config
+from ..scene import Mesh, Result, View
+from .display import Display, choose_display
+
+
+def run_command(argv: Sequence[str]) -> int:
+    """0 done, 1 failed, 2 bad input; a failure is one line `error: REASON: message` on standard error."""
+    try:
+        _run(_parse(argv))
+    except InputError as error:
+        return _fail(error.reason, str(error), 2)
+    except RefineError as error:
+        return _fail(error.reason, str(error), 1)
+    except (MemoryError, torch.OutOfMemoryError) as error:
+        return _fail("OUT_OF_MEMORY", f"{error}; a mesh with fewer vertices needs less", 1)
+    except Exception as error:  # a bug of ours: say where, the user can report that
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}:{place.lineno}"
+        return _fail("INTERNAL", f"{type(error).__name__}: {error} ({where})", 1)
+    return 0
+
+
+def _fail(reason: str, message: str, code: int) -> int:
+    print(f"error: {reason}: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise OptionsInvalid(f"{message}; refine run --help explains the options")
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = _Parser(
+        prog="refine run",
+        description="Refine a coarse mesh so that it agrees with its silhouette and stays plausible.",
+        epilog="docs/conventions.md of the project explains cameras, silhouettes and units.",
+    )
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
+    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
+    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="for the artifacts")
+    parser.add_argument("--preset", choices=list(PRESETS), default="default")
+    parser.add_argument("--iterations", type=int, metavar="N", help="default: the preset's")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the network's weights (0)")
+    parser.add_argument(
+        "--symmetry-normal", type=float, nargs=3, default=(0.0, 0.0, 1.0), metavar=("X", "Y", "Z"),
+        help="normal of the mirror plane, world axes (0 0 1)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--symmetry-offset", type=float, metavar="D",
+        help="of the mirror plane along its normal, world units (default: the coarse mesh decides)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--silhouette-threshold", type=float, default=0.25, metavar="T",
+        help="pixels above this share of full scale are the object (0.25)",
+    )  # fmt: skip
+    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
+    parser.add_argument(
+        "--threads", type=int, default=_cores(), metavar="N", help="default: all cores (%(default)s)"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object per line on standard output")
+    return parser.parse_args(argv)
+
+
+def _run(options: argparse.Namespace) -> None:
+    config = make_config(
+        options.preset,
+        options.iterations,
+        options.seed,
+        tuple(options.symmetry_normal),
+        options.symmetry_offset,
+    )
+    device = _device(options.device)
+    if options.threads < 1:
+        raise OptionsInvalid(f"expected at least one thread, got {options.threads}")
+    torch.set_num_threads(options.threads)
+    _check_target(options.output)
+    inputs = read_inputs(
+        _read(options.mesh),
+        options.mesh.name,
+        _read(options.silhouette),
+        parse_spec(_read(options.camera)),
+        options.silhouette_threshold,
+    )
+    display = choose_display(options.json)
+    result = _refine(inputs, config, device, display)
+    artifacts = make_artifacts(inputs.mesh_file, inputs.view, result, config)
+    display.finish(result, _publish(artifacts, options.output))
+
+
+def _refine(inputs: Inputs, config: RefineConfig, device: torch.device, display: Display) -> Result:
+    mesh, view = inputs.mesh_file.mesh, inputs.view
+    with display:
+        for warning in (*inputs.mesh_file.warnings, *inputs.warnings):
+            display.warn(warning)
+        result = refine(
+            Mesh(mesh.vertices.to(device), mesh.faces.to(device)),
+            [View(view.silhouette.to(device), view.camera)],
+            config,
+            display.report,
+        )
+        for warning in result.warnings:
+            display.warn(warning)
+    return replace(result, warnings=(*inputs.warnings, *result.warnings))
+
+
+def _cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _device(name: str) -> torch.device:
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise OptionsInvalid("expected a CUDA device for --device cuda, found none; use --device cpu")
+    return torch.device("cuda" if available and name != "cpu" else "cpu")
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
+
+
+def _check_target(target: Path) -> None:
+    """Find out before the run, not after it, that the artifacts have no place to go."""
+    existing = next(path for path in (target.absolute(), *target.absolute().parents) if path.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK):
+        raise OptionsInvalid(
+            f"expected a folder to write to as --output, got {target}: {existing} is not one"
+        )
+
+
+def _publish(artifacts: Mapping[str, bytes], target: Path) -> dict[str, Path]:
+    """Write all artifacts beside `target`, then move them there: whoever looks sees whole files only."""
+    target.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.absolute().parent, prefix=".refine-") as temporary:
+        written = Path(temporary) / "artifacts"
+        written.mkdir()
+        for name, data in artifacts.items():
+            (written / name).write_bytes(data)
+        if target.exists():
+            for name in artifacts:
+                os.replace(written / name, target / name)
+        else:
+            written.rename(target)
+    return {name: target / name for name in artifacts}
