@@ -48,8 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"refine {metadata.version(DISTRIBUTION)}")
         return 0
     try:
-        command = _load(arguments[0])
-        return command(arguments[1:])
+        return _run(arguments[0], arguments[1:])
     except _NotRunnable as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -62,7 +61,7 @@ class _NotRunnable(Exception):
     """The command does not exist, or what it needs is not installed."""
 
 
-def _load(name: str) -> Callable[[Sequence[str]], int]:
+def _run(name: str, argv: Sequence[str]) -> int:
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else "refine --help lists them"
@@ -74,9 +73,9 @@ def _load(name: str) -> Callable[[Sequence[str]], int]:
         raise _NotRunnable(f"refine {name} is not part of this installation; {install}")
     try:
         command: Callable[[Sequence[str]], int] = entry_point.load()
-    except ModuleNotFoundError as error:
+        return command(argv)
+    except ModuleNotFoundError as error:  # some commands import what they need when they run
         raise _NotRunnable(f"refine {name} needs {error.name}, which is not installed; {install}") from error
-    return command
 
 
 def _installed() -> dict[str, metadata.EntryPoint]:

@@ -3,9 +3,10 @@
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -64,6 +65,15 @@ def test_unknown_command_without_a_near_one(capsys: pytest.CaptureFixture[str]) 
     assert "refine --help lists them" in capsys.readouterr().err
 
 
+class Loaded(NamedTuple):
+    """An entry point whose object is at hand."""
+
+    command: Callable[[Sequence[str]], int]
+
+    def load(self) -> Callable[[Sequence[str]], int]:
+        return self.command
+
+
 def entry_point(target: str) -> dict[str, metadata.EntryPoint]:
     return {"run": metadata.EntryPoint("run", target, "refine.commands")}
 
@@ -94,7 +104,7 @@ def test_arguments_and_exit_code_pass_through(monkeypatch: pytest.MonkeyPatch) -
         received.append(argv)
         return 7
 
-    monkeypatch.setattr(cli, "_load", lambda name: command)
+    monkeypatch.setattr(cli, "_installed", lambda: {"run": Loaded(command)})
     assert cli.main(["run", "mesh.glb", "--json"]) == 7
     assert received == [["mesh.glb", "--json"]]
 
@@ -105,7 +115,7 @@ def test_interrupt_is_130_without_a_traceback(
     def command(argv: Sequence[str]) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "_load", lambda name: command)
+    monkeypatch.setattr(cli, "_installed", lambda: {"run": Loaded(command)})
     assert cli.main(["run"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
 

@@ -1,1 +1,1 @@
-"""The engine's subcommands of `refine`, found through the entry-point group `refine.commands`."""
+"""The engine's part of the command line: what `refine.commands` entry points name."""
