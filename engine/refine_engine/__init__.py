@@ -1,0 +1,38 @@
+"""REFINE: test-time refinement of a coarse mesh from its silhouette and camera (arXiv 2108.09911).
+
+`refine` is the method, on tensors; `read_inputs` and `make_artifacts` are the way from files and back.
+"""
+
+from .artifacts import make_artifacts
+from .camera_spec import camera_from_spec, read_camera
+from .config import RefineConfig
+from .errors import Cancelled, Diverged, InputError, RefineError
+from .files import MeshFile, read_mesh
+from .images import read_silhouette
+from .inputs import Inputs, read_inputs
+from .loop import refine
+from .options import make_config
+from .scene import Camera, Mesh, Progress, Result, View
+
+__all__ = [
+    "Camera",
+    "Cancelled",
+    "Diverged",
+    "InputError",
+    "Inputs",
+    "Mesh",
+    "MeshFile",
+    "Progress",
+    "RefineConfig",
+    "RefineError",
+    "Result",
+    "View",
+    "camera_from_spec",
+    "make_artifacts",
+    "make_config",
+    "read_camera",
+    "read_inputs",
+    "read_mesh",
+    "read_silhouette",
+    "refine",
+]
