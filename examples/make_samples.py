@@ -49,9 +49,9 @@ class Sample:
 
 
 SAMPLES = {
-    "airplane": Sample("airplane", 0, 0, LookAt(52.0, 28.0, 1.35)),
+    "airplane": Sample("airplane", 0, 8, LookAt(52.0, 28.0, 1.3)),
     "car": Sample("car", 1, 1, LookAt(40.0, 16.0, 1.5)),
-    "chair": Sample("chair", 2, 2, LookAt(62.0, 20.0, 1.6)),
+    "chair": Sample("chair", 2, 7, LookAt(62.0, 20.0, 1.6)),
     "desk": Sample("desk", 3, 3, LookAt(118.0, 24.0, 1.7)),
     "mug": Sample("mug", 4, 4, LookAt(24.0, 30.0, 1.75)),
     "table": Sample("table", 5, 5, LookAt(145.0, 35.0, 1.55)),
