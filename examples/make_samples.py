@@ -16,15 +16,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 import trimesh
-from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image
 from refine_bench.coarsen import coarsen
 from refine_bench.shapes import make_shape
-from refine_engine.scene import Camera
+from refine_engine.metrics import hard_silhouette
+from refine_engine.scene import Camera, Mesh
 
 SIZE = 224  # pixels, the method's image size
-SUPERSAMPLING = 8  # per axis; a pixel belongs to the object when at least half of it is covered
 SAMPLES_FOLDER = Path(__file__).resolve().parent / "samples"
 
 
@@ -58,18 +58,6 @@ SAMPLES = {
 }
 
 
-def draw_silhouette(shape: trimesh.Trimesh, camera: Camera) -> NDArray[np.bool_]:
-    """The hard silhouette (H, W) of a shape that lies in front of the camera: pixels at least half covered."""
-    rotation = camera.world_to_camera.double().numpy()
-    points = shape.vertices @ rotation[:3, :3].T + rotation[:3, 3]
-    screen = points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    image = Image.new("L", (camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING))
-    draw = ImageDraw.Draw(image)
-    for triangle in screen[shape.faces] * SUPERSAMPLING - 0.5:  # Pillow counts from pixel centres
-        draw.polygon([tuple(corner) for corner in triangle.tolist()], fill=255)
-    return np.asarray(image.resize((camera.width, camera.height), Image.Resampling.BOX)) > 127
-
-
 def write_obj(path: Path, shape: trimesh.Trimesh) -> None:
     """Positions to five decimals: 1e-5 of the longest side, far below what the metrics resolve."""
     vertices = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in shape.vertices]
@@ -82,7 +70,10 @@ def make_sample(sample: Sample, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     shape = make_shape(sample.category, sample.shape_seed)
     camera = Camera.look_at(**asdict(sample.camera), width=SIZE, height=SIZE)
-    mask = draw_silhouette(shape, camera).astype(np.uint8) * 255
+    mesh = Mesh(
+        torch.tensor(shape.vertices, dtype=torch.float32), torch.tensor(shape.faces, dtype=torch.int64)
+    )
+    mask = hard_silhouette(mesh, camera).numpy().astype(np.uint8) * 255
     write_obj(folder / "gt.obj", shape)
     write_obj(folder / "coarse.obj", coarsen(shape, sample.coarse_seed))
     Image.fromarray(np.stack([mask] * 4, -1)).save(folder / "silhouette.png", optimize=True)
@@ -92,8 +83,12 @@ def make_sample(sample: Sample, folder: Path) -> None:
 
 def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Make the sample cases.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"samples to make: {', '.join(SAMPLES)} (default: all)")
-    parser.add_argument("-o", "--output", type=Path, default=SAMPLES_FOLDER, metavar="DIR", help="where to write them")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"samples to make: {', '.join(SAMPLES)} (default: all)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, default=SAMPLES_FOLDER, metavar="DIR", help="where to write them"
+    )
     arguments = parser.parse_args(argv)
     for name in arguments.names or SAMPLES:
         if name not in SAMPLES:

@@ -20,7 +20,9 @@ from scipy.ndimage import gaussian_filter
 
 Array = NDArray[np.float64]
 MARGIN_CELLS = 4  # empty cells around the object, so that the blurred surface stays closed
-THIN_GAIN = 3.0  # a cell counts as full from a third of coverage: networks swell thin parts rather than drop them
+THIN_GAIN = (
+    3.0  # a cell counts as full from a third of coverage: networks swell thin parts rather than drop them
+)
 FINE_EDGE_CELLS = 0.7  # triangles before the decimation
 COLUMNS_PER_CELL = 2  # rays per cell and axis: coverage instead of a yes or no
 
@@ -93,7 +95,9 @@ def occupancy(shape: trimesh.Trimesh, origin: Array, cell: float, size: NDArray[
     return np.clip(blocks.mean((1, 3)), 0.0, 1.0)
 
 
-_RAY = np.array([0.4871, 0.5143])  # off the middle, so that no ray meets a vertex or an edge of a regular shape
+_RAY = np.array(
+    [0.4871, 0.5143]
+)  # off the middle, so that no ray meets a vertex or an edge of a regular shape
 
 
 def _surface(density: Array, level: float, triangles: int) -> tuple[Array, NDArray[np.int64]]:

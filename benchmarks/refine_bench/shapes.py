@@ -54,7 +54,9 @@ def _chair(rng: Generator, armrests: int) -> Manifold:
 
     posts = mirrored(rod((-x, seat_y, z), (top_x, back_y, z), leg, 0.8 * leg))
     rail = rounded_box((0.035, 0.10, width - 0.02), (at(back_y - 0.03), back_y - 0.03, 0.0), 0.015)
-    slats = [rod((-x, seat_y, s * z), (at(back_y - 0.04), back_y - 0.04, s * z), 0.016) for s in (-0.5, 0.0, 0.5)]
+    slats = [
+        rod((-x, seat_y, s * z), (at(back_y - 0.04), back_y - 0.04, s * z), 0.016) for s in (-0.5, 0.0, 0.5)
+    ]
     stretcher_y = 0.35 * seat_y
     stretchers = mirrored(rod((x + 0.013, stretcher_y, z + 0.01), (-x - 0.026, stretcher_y, z + 0.01), 0.014))
     arm_y = seat_y + 0.21
@@ -98,7 +100,10 @@ def desk(rng: Generator) -> Manifold:
     plate = rounded_box((length, 0.04, width), (0.0, height, 0.0), 0.015)
     body = box((length - 0.05, height - 0.06, drawers), (0.0, height / 2 + 0.03, z - drawers / 2 + 0.02))
     gaps = [
-        box((0.03, 0.012, drawers), (length / 2 - 0.03, 0.06 + (height - 0.06) * k / 3, z - drawers / 2 + 0.02))
+        box(
+            (0.03, 0.012, drawers),
+            (length / 2 - 0.03, 0.06 + (height - 0.06) * k / 3, z - drawers / 2 + 0.02),
+        )
         for k in (1, 2)
     ]
     legs = union([rod((s * x, 0.0, -z - 0.01), (s * x, height, -z), 0.017, 0.022) for s in (-1, 1)])
@@ -139,11 +144,20 @@ def mug(rng: Generator) -> Manifold:
     radius, height, wall = rng.uniform(0.3, 0.36), rng.uniform(0.74, 0.86), rng.uniform(0.035, 0.045)
     foot = 0.93 * radius
     outer = [(0.0, 0.0), (foot, 0.0), (radius, 0.06), (radius, height), (0.0, height)]
-    inner = [(0.0, 0.06), (foot - wall, 0.06), (radius - wall, 0.12), (radius - wall, height + 1), (0.0, height + 1)]
+    inner = [
+        (0.0, 0.06),
+        (foot - wall, 0.06),
+        (radius - wall, 0.12),
+        (radius - wall, height + 1),
+        (0.0, height + 1),
+    ]
     reach, half = rng.uniform(0.22, 0.27), rng.uniform(0.25, 0.29)
     angle = np.linspace(-np.pi / 2, np.pi / 2, 13)
     x, y = radius - 0.6 * wall + reach * np.cos(angle), height / 2 + half * np.sin(angle)
-    joints = [Manifold.sphere(0.045, 16).scale((0.8, 0.8, 1.1)).translate((a, b, 0.0)) for a, b in zip(x, y, strict=True)]
+    joints = [
+        Manifold.sphere(0.045, 16).scale((0.8, 0.8, 1.1)).translate((a, b, 0.0))
+        for a, b in zip(x, y, strict=True)
+    ]
     handle = union([Manifold.batch_hull([a, b]) for a, b in zip(joints[:-1], joints[1:], strict=True)])
     return (revolved(outer) + handle) - revolved(inner)
 
@@ -156,7 +170,14 @@ def lamp(rng: Generator) -> Manifold:
     bulge = [(stem, 0.2), (0.085, 0.3), (0.07, 0.38), (stem, 0.46)]
     body = [*base, *bulge, (stem, height - 0.06), (0.0, height - 0.06)]
     bottom, top, wall = height - shade, height, 0.02
-    cone = [(low - wall, bottom), (low, bottom), (high, top), (0.0, top), (0.0, top - wall), (high - wall, top - wall)]
+    cone = [
+        (low - wall, bottom),
+        (low, bottom),
+        (high, top),
+        (0.0, top),
+        (0.0, top - wall),
+        (high - wall, top - wall),
+    ]
     return revolved(body) + revolved(cone)
 
 

@@ -18,16 +18,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import torch
 from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
+from torch import Tensor
 
-from .cameras import project
+from .cameras import project, stack
 from .errors import MeshInvalid
-from .scene import Mesh, View
+from .scene import Camera, Mesh, View
 from .silhouette import rasterize
 from .winding import winding_numbers
 
@@ -80,7 +80,7 @@ def evaluate(
         corners = meshes[1].reshape(-1, 3)
         centre, half_side = (corners.min(0) + corners.max(0)) / 2, _half_longest_side(corners)
         meshes = [(mesh - centre) / half_side for mesh in meshes]
-    rows, first = [], None
+    rows, clouds_of_seed = [], []
     for seed in seeds:
         clouds = [
             sample_surface(mesh, SURFACE_POINTS, np.random.default_rng(seed + offset))
@@ -88,15 +88,15 @@ def evaluate(
         ]
         if normalisation == "own":
             clouds = [cloud / _half_longest_side(cloud) for cloud in clouds]
-        first = first or clouds
+        clouds_of_seed.append(clouds)
         distances = nearest_distances(*clouds)
         rows.append((chamfer_l2(*distances), f_score(*distances)))
-    assert first is not None
+    first = [cloud[:EMD_POINTS] for cloud in clouds_of_seed[0]]
     if normalisation == "own":
         meshes = [mesh / _half_longest_side(mesh.reshape(-1, 3)) for mesh in meshes]
     chamfer, f = np.mean(rows, 0)
     return Scores(
-        emd=earth_mover_distance(first[0][:EMD_POINTS], first[1][:EMD_POINTS]),
+        emd=earth_mover_distance(first[0], first[1]),
         chamfer_l2=float(chamfer),
         f_score=float(f),
         volumetric_iou=volumetric_iou(meshes[0], meshes[1], np.random.default_rng(seeds[0])),
@@ -168,18 +168,16 @@ def volumetric_iou(triangles: Array, reference: Array, rng: Generator, points: i
 
 
 def silhouette_iou(mesh: Mesh, view: View) -> float:
-    """2D IoU: pixels whose centre the mesh covers, seen from the view's camera, against silhouette > 0.5.
-
-    A hard render, not a threshold of the soft silhouette that the optimisation uses.
-    """
-    camera = view.camera
-    intrinsics = torch.tensor([[camera.fx, camera.fy, camera.cx, camera.cy]])
-    screen = project(
-        mesh.vertices, camera.world_to_camera[None], intrinsics, orthographic=camera.projection == "orthographic"
-    )
-    covered = rasterize(screen, mesh.faces, (camera.height, camera.width)).face[0] >= 0
-    wanted = view.silhouette > 0.5
+    """2D IoU: `hard_silhouette` of the mesh from the view's camera against silhouette > 0.5."""
+    covered, wanted = hard_silhouette(mesh, view.camera), view.silhouette > 0.5
     return float((covered & wanted).sum() / (covered | wanted).sum())
+
+
+def hard_silhouette(mesh: Mesh, camera: Camera) -> Tensor:
+    """The pixels (H, W) bool whose centre the mesh covers; not the soft silhouette of the optimisation."""
+    matrices, intrinsics = stack([camera], mesh.vertices.device)
+    screen = project(mesh.vertices, matrices, intrinsics, orthographic=camera.projection == "orthographic")
+    return rasterize(screen, mesh.faces, (camera.height, camera.width)).face[0] >= 0
 
 
 def _inside(triangles: Array, samples: Array) -> NDArray[np.bool_]:

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 CLUSTER_TRIANGLES = 24
-FAR_RADII = 3.0  # a cluster farther away than this many of its radii is a dipole; errors stay below about 0.01
+FAR_RADII = (
+    3.0  # a cluster farther away than this many of its radii is a dipole; errors stay below about 0.01
+)
 
 
 def winding_numbers(triangles: Array, points: Array) -> Array:
@@ -82,7 +84,9 @@ def _sum_solid_angles(
             square = dx * dx + dy * dy + dz * dz
             far = FAR_RADII * radii[k]
             if square > far * far:
-                total += (dipoles[k, 0] * dx + dipoles[k, 1] * dy + dipoles[k, 2] * dz) / (square * math.sqrt(square))
+                total += (dipoles[k, 0] * dx + dipoles[k, 1] * dy + dipoles[k, 2] * dz) / (
+                    square * math.sqrt(square)
+                )
                 continue
             for t in range(bounds[k], bounds[k + 1]):
                 total += _solid_angle(triangles[t], px, py, pz)
