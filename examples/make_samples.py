@@ -1,4 +1,4 @@
-"""Make the sample cases in examples/samples: our own objects, so they come with ground truth and with our licence.
+"""Make the sample cases in examples/samples: our own objects, so with ground truth and under our licence.
 
     python examples/make_samples.py                 write every sample beside this script
     python examples/make_samples.py -o DIR airplane write some samples elsewhere

@@ -1,8 +1,8 @@
 """A coarse mesh as a single-view reconstruction network would predict it, made from ground truth.
 
-Networks of the occupancy kind see the object on a coarse grid: details blur, thin parts swell or vanish, nearby
-parts fuse. Seen from one image, proportions and depth are guesses, and a part that the image shows badly comes out
-too short. `coarsen` does these in this order and ends with a mesh of about 1,500 vertices.
+Networks of the occupancy kind see the object on a coarse grid: details blur, thin parts swell or vanish,
+nearby parts fuse. Seen from one image, proportions and depth are guesses, and a part that the image shows
+badly comes out too short. `coarsen` does these in this order and ends with a mesh of about 1,500 vertices.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ THIN_GAIN = (
     3.0  # a cell counts as full from a third of coverage: networks swell thin parts rather than drop them
 )
 FINE_EDGE_CELLS = 0.7  # triangles before the decimation
+RAY = np.array([0.4871, 0.5143])  # in a column: off its middle, to miss vertices and edges of regular shapes
 COLUMNS_PER_CELL = 2  # rays per cell and axis: coverage instead of a yes or no
 
 
@@ -69,8 +70,8 @@ def coarsen(shape: trimesh.Trimesh, seed: int, config: Coarsening = STRONG) -> t
 def occupancy(shape: trimesh.Trimesh, origin: Array, cell: float, size: NDArray[np.int64]) -> Array:
     """Share of each cell inside a watertight shape, (X, Y, Z): exact along z, sampled by rays in x and y.
 
-    Entering and leaving triangles have normals of opposite sign along the ray, so the length inside a cell is the
-    signed sum of the clamped depths; no sorting and no parity.
+    Entering and leaving triangles have normals of opposite sign along the ray, so the length inside a cell is
+    the signed sum of the clamped depths; no sorting and no parity.
     """
     rays = size[:2] * COLUMNS_PER_CELL
     spacing = cell / COLUMNS_PER_CELL
@@ -82,22 +83,18 @@ def occupancy(shape: trimesh.Trimesh, origin: Array, cell: float, size: NDArray[
         if area == 0.0:
             continue
         corners = np.stack([a, b, c])[:, :2]
-        first = np.ceil(corners.min(0) - _RAY).astype(int)
-        last = np.floor(corners.max(0) - _RAY).astype(int)
+        first = np.ceil(corners.min(0) - RAY).astype(int)
+        last = np.floor(corners.max(0) - RAY).astype(int)
         x, y = np.meshgrid(*(np.arange(s, t + 1) for s, t in zip(first, last, strict=True)), indexing="ij")
-        px, py = x + _RAY[0], y + _RAY[1]
+        px, py = x + RAY[0], y + RAY[1]
         u = ((b[0] - px) * (c[1] - py) - (b[1] - py) * (c[0] - px)) / area
         v = ((c[0] - px) * (a[1] - py) - (c[1] - py) * (a[0] - px)) / area
         hit = (u >= 0) & (v >= 0) & (u + v <= 1)
         z = (u * a[2] + v * b[2] + (1 - u - v) * c[2])[hit]
         depth_sum[x[hit], y[hit]] += np.sign(area) * np.clip(z[:, None] - edges, 0.0, 1.0)
     blocks = depth_sum.reshape(size[0], COLUMNS_PER_CELL, size[1], COLUMNS_PER_CELL, size[2])
-    return np.clip(blocks.mean((1, 3)), 0.0, 1.0)
-
-
-_RAY = np.array(
-    [0.4871, 0.5143]
-)  # off the middle, so that no ray meets a vertex or an edge of a regular shape
+    share: Array = np.clip(blocks.mean((1, 3)), 0.0, 1.0)
+    return share
 
 
 def _surface(density: Array, level: float, triangles: int) -> tuple[Array, NDArray[np.int64]]:
@@ -113,7 +110,7 @@ def _surface(density: Array, level: float, triangles: int) -> tuple[Array, NDArr
 
 
 def _without_crumbs(solid: Manifold) -> Manifold:
-    """The solid less the pieces that hold below 1 % of its volume, which networks' post-processing drops too."""
+    """The solid less the pieces that hold below 1 % of its volume, which networks' users drop too."""
     kept = [piece for piece in solid.decompose() if piece.volume() > 0.01 * solid.volume()]
     return Manifold.compose(kept)
 
@@ -144,7 +141,8 @@ def _distort(vertices: Array, rng: Generator, config: Coarsening) -> Array:
     points = points + np.sin(points @ waves.T + phases) @ directions
     centre = (points.min(0) + points.max(0)) / 2
     scale = np.exp(rng.normal(size=3) * config.stretch)
-    return (points - centre) * scale + centre + rng.normal(size=3) * config.shift * longest
+    moved: Array = (points - centre) * scale + centre + rng.normal(size=3) * config.shift * longest
+    return moved
 
 
 def _shorten(points: Array, rng: Generator, largest: float) -> Array:

@@ -2,13 +2,13 @@
 
 The 3D metrics compare point clouds drawn uniformly by area. Lengths are in one of two normalisations:
 
-- "shared": both meshes are moved by the ground truth's box centre and scaled so that the ground truth's longest
-  side is 2. A wrong size or place counts.
+- "shared": both meshes are moved by the ground truth's box centre and scaled so that the ground truth's
+  longest side is 2. A wrong size or place counts.
 - "own": each cloud is divided by half its own longest side and not moved, as in the published evaluation of
   REFINE (arXiv 2108.09911). A wrong overall size does not count.
 
-The same seeds draw the same random numbers for every mesh, so that comparing before and after is less noisy than
-either number alone.
+The same seeds draw the same random numbers for every mesh, so that comparing before and after is less noisy
+than either number alone.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def evaluate(
 ) -> Scores:
     """Score a mesh against ground truth in the same frame.
 
-    Chamfer-l2 and F-score are means over `seeds`; EMD and the volumetric IoU, which cost more and spread less, are
-    of the first seed. The volumetric IoU in the "own" normalisation divides each mesh by its own box.
+    Chamfer-l2 and F-score are means over `seeds`; EMD and the volumetric IoU, which cost more and spread
+    less, are of the first seed. For the volumetric IoU the "own" normalisation divides each mesh by its own box.
 
     Raises:
         MeshInvalid: a mesh has no surface area.
@@ -114,11 +114,13 @@ def sample_surface(triangles: Array, count: int, rng: Generator) -> Array:
     share = np.cumsum(areas) / areas.sum()
     face = np.minimum(np.searchsorted(share, uniform[:, 0], side="right"), len(areas) - 1)
     root = np.sqrt(uniform[:, 1:2])  # Osada et al. 2002: uniform in a triangle
-    return (1 - root) * a[face] + root * (1 - uniform[:, 2:]) * b[face] + root * uniform[:, 2:] * c[face]
+    along = uniform[:, 2:]
+    points: Array = (1 - root) * a[face] + root * (1 - along) * b[face] + root * along * c[face]
+    return points
 
 
 def nearest_distances(cloud: Array, reference: Array) -> tuple[Array, Array]:
-    """Distance of each point (N, 3) to the nearest of `reference` (M, 3), and the other way round: (N,), (M,)."""
+    """Distance of each point (N, 3) to the nearest of `reference` (M, 3), and the other way: (N,), (M,)."""
     return cKDTree(reference).query(cloud)[0], cKDTree(cloud).query(reference)[0]
 
 
@@ -133,8 +135,8 @@ def chamfer_l2(to_reference: Array, to_cloud: Array) -> float:
 def f_score(to_reference: Array, to_cloud: Array, threshold: float = F_SCORE_THRESHOLD) -> float:
     """Harmonic mean, in per cent, of precision and recall, from `nearest_distances`.
 
-    Precision is the share of predicted points nearer than `threshold` to the ground truth, recall the share of
-    ground-truth points nearer than it to the prediction (Tatarchenko et al. 2019, arXiv 1905.03678).
+    Precision is the share of predicted points nearer than `threshold` to the ground truth, recall the share
+    of ground-truth points nearer than it to the prediction (Tatarchenko et al. 2019, arXiv 1905.03678).
     """
     precision, recall = float((to_reference < threshold).mean()), float((to_cloud < threshold).mean())
     return 200.0 * precision * recall / max(precision + recall, 1e-9)
@@ -155,9 +157,9 @@ def earth_mover_distance(cloud: Array, reference: Array) -> float:
 def volumetric_iou(triangles: Array, reference: Array, rng: Generator, points: int = VOLUME_POINTS) -> float:
     """Volume of the intersection over that of the union, by `points` uniform samples of the box around both.
 
-    Inside is where the winding number's magnitude is above one half: right for closed meshes whichever way they are
-    wound, a graceful guess on open ones. Triangles (F, 3, 3). Standard error: about the root of IoU (1 - IoU) / n
-    with n samples in the union; 0 when neither mesh holds a sample.
+    Inside is where the winding number's magnitude is above one half: right for closed meshes whichever way
+    they are wound, a graceful guess on open ones. Triangles (F, 3, 3). Standard error: about the root of
+    IoU (1 - IoU) / n with n samples in the union; 0 when neither mesh holds a sample.
     """
     corners = np.concatenate([triangles, reference]).reshape(-1, 3)
     low, high = corners.min(0), corners.max(0)
@@ -183,13 +185,14 @@ def hard_silhouette(mesh: Mesh, camera: Camera) -> Tensor:
 def _inside(triangles: Array, samples: Array) -> NDArray[np.bool_]:
     """Samples (P, 3) inside the mesh; those outside its box are not looked at."""
     corners = triangles.reshape(-1, 3)
-    inside = ((samples >= corners.min(0)) & (samples <= corners.max(0))).all(1)
+    inside: NDArray[np.bool_] = ((samples >= corners.min(0)) & (samples <= corners.max(0))).all(1)
     inside[inside] = np.abs(winding_numbers(triangles, samples[inside])) > 0.5
     return inside
 
 
 def _triangles(mesh: Mesh) -> Array:
-    return mesh.vertices.detach().cpu().double().numpy()[mesh.faces.cpu().numpy()]
+    triangles: Array = mesh.vertices.detach().cpu().double()[mesh.faces.cpu()].numpy()
+    return triangles
 
 
 def _half_longest_side(points: Array) -> float:

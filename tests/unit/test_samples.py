@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from numpy.typing import NDArray
 from PIL import Image
 from refine_bench.coarsen import MILD, STRONG, coarsen, occupancy
 from refine_bench.shapes import ASYMMETRIC, GENERATORS, make_shape
-from refine_engine.metrics import evaluate, nearest_distances, sample_surface, silhouette_iou
+from refine_engine.metrics import chamfer_l2, nearest_distances, sample_surface, silhouette_iou
 from refine_engine.scene import Camera, Mesh, View
 from scipy.ndimage import binary_dilation
 
+Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SAMPLES = sorted(path.name for path in (EXAMPLES / "samples").iterdir())
 
@@ -33,24 +35,37 @@ def script() -> ModuleType:
     return module
 
 
-def load(name: str, which: str) -> trimesh.Trimesh:
-    return trimesh.load(EXAMPLES / "samples" / name / f"{which}.obj", force="mesh", process=False)
+def load(name: str, which: str, folder: Path = EXAMPLES / "samples") -> trimesh.Trimesh:
+    shape = trimesh.load_mesh(folder / name / f"{which}.obj", process=False)
+    assert isinstance(shape, trimesh.Trimesh)
+    return shape
 
 
 def as_mesh(shape: trimesh.Trimesh) -> Mesh:
-    return Mesh(torch.tensor(shape.vertices, dtype=torch.float32), torch.tensor(shape.faces, dtype=torch.int64))
+    vertices, faces = np.array(shape.vertices, np.float32), np.array(shape.faces, np.int64)
+    return Mesh(torch.from_numpy(vertices), torch.from_numpy(faces))
 
 
-def mask_of(folder: Path) -> np.ndarray:
+def mask_of(folder: Path) -> NDArray[np.bool_]:
     return np.asarray(Image.open(folder / "silhouette.png"))[..., 3] > 0
+
+
+def distances(first: trimesh.Trimesh, second: trimesh.Trimesh) -> tuple[Floats, Floats]:
+    """Between 20,000 samples of each."""
+    clouds = [
+        sample_surface(np.asarray(shape.triangles), 20_000, np.random.default_rng(seed))
+        for seed, shape in enumerate((first, second))
+    ]
+    return nearest_distances(*clouds)
+
+
+def coarse_error(coarse: trimesh.Trimesh, truth: trimesh.Trimesh) -> float:
+    return chamfer_l2(*distances(coarse, truth))
 
 
 def largest_gap(first: trimesh.Trimesh, second: trimesh.Trimesh) -> float:
     """How far apart two surfaces are, up to the spacing of the samples."""
-    clouds = [
-        sample_surface(np.asarray(shape.triangles), 20_000, np.random.default_rng(0)) for shape in (first, second)
-    ]
-    return float(max(distances.max() for distances in nearest_distances(clouds[0], clouds[1])))
+    return float(max(way.max() for way in distances(first, second)))
 
 
 @pytest.mark.parametrize("name", SAMPLES)
@@ -58,9 +73,9 @@ def test_the_script_makes_the_committed_files(script: ModuleType, name: str, tmp
     script.main([name, "-o", str(tmp_path)])
     made, committed = tmp_path / name, EXAMPLES / "samples" / name
     assert {path.name for path in made.iterdir()} == {path.name for path in committed.iterdir()}
-    assert json.loads((made / "camera.json").read_text()) == json.loads((committed / "camera.json").read_text())
+    assert (made / "camera.json").read_text() == (committed / "camera.json").read_text()
     for which in ("gt", "coarse"):
-        again = trimesh.load(made / f"{which}.obj", force="mesh", process=False)
+        again = load(name, which, tmp_path)
         assert largest_gap(again, load(name, which)) < 0.03
         assert again.area == pytest.approx(load(name, which).area, rel=0.01)
     first, second = mask_of(made), mask_of(committed)
@@ -77,15 +92,14 @@ def test_ground_truth_fills_the_silhouette_and_the_coarse_mesh_is_worse(name: st
     truth, coarse = as_mesh(load(name, "gt")), as_mesh(load(name, "coarse"))
     assert silhouette_iou(truth, view) > 0.98
     assert silhouette_iou(coarse, view) < 0.9
-    best, worse = evaluate(truth, truth, seeds=[0]), evaluate(coarse, truth, seeds=[0])
-    assert worse.chamfer_l2 > 3 * best.chamfer_l2
-    assert worse.f_score < best.f_score - 10
+    noise = coarse_error(load(name, "gt"), load(name, "gt"))
+    assert coarse_error(load(name, "coarse"), load(name, "gt")) > 3 * noise
     assert 1400 <= len(coarse.vertices) <= 1600
 
 
 @pytest.mark.parametrize("name", SAMPLES)
 def test_silhouette_is_seen_from_the_camera_of_the_conventions(name: str) -> None:
-    """The projection written out from docs/conventions.md (PyTorch3D's look_at), without the engine's code."""
+    """The projection of docs/conventions.md (PyTorch3D's look_at) written out, without the engine's code."""
     folder = EXAMPLES / "samples" / name
     spec, mask = json.loads((folder / "camera.json").read_text()), mask_of(folder)
     a, e = math.radians(spec["azimuth_degrees"]), math.radians(spec["elevation_degrees"])
@@ -100,8 +114,9 @@ def test_silhouette_is_seen_from_the_camera_of_the_conventions(name: str) -> Non
     row = np.floor(112 - focal * (points @ up) / depth).astype(int)
     hit = np.zeros_like(mask)
     hit[row, column] = True
-    assert not (hit & ~binary_dilation(mask, iterations=1)).any()
-    assert (mask & ~binary_dilation(hit)).sum() < 0.002 * mask.sum()
+    around = np.ones((3, 3), dtype=bool)
+    assert (hit & ~binary_dilation(mask, around)).sum() <= 2  # the tip of a corner, thinner than a pixel
+    assert (mask & ~binary_dilation(hit, around)).sum() <= 2
 
 
 def test_samples_are_small() -> None:
@@ -142,11 +157,8 @@ def test_occupancy_of_a_box_is_its_coverage() -> None:
 
 def test_strong_is_worse_than_mild() -> None:
     shape = make_shape("car", 0)
-    truth = as_mesh(shape)
-    scores = {
-        config: np.mean(
-            [evaluate(as_mesh(coarsen(shape, s, config)), truth, seeds=[0]).chamfer_l2 for s in range(3)]
-        )
+    mild, strong = (
+        np.mean([coarse_error(coarsen(shape, seed, config), shape) for seed in range(3)])
         for config in (MILD, STRONG)
-    }
-    assert scores[STRONG] > 2 * scores[MILD]
+    )
+    assert strong > 2 * mild

@@ -28,7 +28,7 @@ metrics
   2D IoU           hard silhouette against the given one; needs --camera and --silhouette
 
 normalisation
-  shared           both meshes moved and scaled by the ground truth's box, longest side 2: a wrong size or place counts
+  shared           both meshes moved and scaled by the ground truth's box, longest side 2: size and place count
   own              each mesh divided by half its own longest side, as the published evaluation of REFINE
 
 example
