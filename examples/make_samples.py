@@ -19,6 +19,7 @@ import numpy as np
 import torch
 import trimesh
 from PIL import Image
+
 from refine_bench.coarsen import coarsen
 from refine_bench.shapes import make_shape
 from refine_engine.metrics import hard_silhouette

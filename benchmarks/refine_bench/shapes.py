@@ -7,6 +7,7 @@ the ones in `ASYMMETRIC` are symmetric about the plane z = 0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 
 import numpy as np
 import trimesh
@@ -158,7 +159,7 @@ def mug(rng: Generator) -> Manifold:
         Manifold.sphere(0.045, 16).scale((0.8, 0.8, 1.1)).translate((a, b, 0.0))
         for a, b in zip(x, y, strict=True)
     ]
-    handle = union([Manifold.batch_hull([a, b]) for a, b in zip(joints[:-1], joints[1:], strict=True)])
+    handle = union([Manifold.batch_hull([a, b]) for a, b in pairwise(joints)])
     return (revolved(outer) + handle) - revolved(inner)
 
 

@@ -7,6 +7,7 @@ normalises the finished object.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
@@ -52,8 +53,7 @@ def rod(start: Point, end: Point, radius_start: float, radius_end: float | None 
 
 def loft(sections: Sequence[Array]) -> Manifold:
     """The union of the hulls of neighbouring convex sections, each (N, 3)."""
-    pairs = zip(sections[:-1], sections[1:], strict=True)
-    return union([Manifold.hull_points(np.concatenate(pair)) for pair in pairs])
+    return union([Manifold.hull_points(np.concatenate(pair)) for pair in pairwise(sections)])
 
 
 def disc_across_x(x: float, y: float, z: float, radius: float) -> Array:

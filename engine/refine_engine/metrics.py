@@ -68,7 +68,7 @@ def evaluate(
     """Score a mesh against ground truth in the same frame.
 
     Chamfer-l2 and F-score are means over `seeds`; EMD and the volumetric IoU, which cost more and spread
-    less, are of the first seed. For the volumetric IoU the "own" normalisation divides each mesh by its own box.
+    less, are of the first seed. For the volumetric IoU "own" divides each mesh by its own box.
 
     Raises:
         MeshInvalid: a mesh has no surface area.

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+
 from refine_engine.errors import MeshInvalid
 from refine_engine.metrics import (
     chamfer_l2,
@@ -77,7 +78,7 @@ def test_distances_of_shifted_points_by_hand() -> None:
 
 def test_emd_of_a_translated_cloud_is_the_shift() -> None:
     cloud = rng().normal(size=(500, 3))
-    shuffled = rng().permutation(cloud) + [0.3, 0.0, 0.4]
+    shuffled = rng().permutation(cloud) + np.array([0.3, 0.0, 0.4])
     assert earth_mover_distance(cloud, shuffled) == pytest.approx(0.5)  # translation is an optimal plan
 
 
@@ -154,7 +155,6 @@ def test_normalisations_differ_in_what_they_forgive() -> None:
 def test_same_seeds_same_scores() -> None:
     first, second = as_mesh(cube()), as_mesh(ball(0.6))
     assert evaluate(first, second, seeds=[3]) == evaluate(first, second, seeds=[3])
-    assert evaluate(first, second, seeds=[3]).chamfer_l2 != evaluate(first, second, seeds=[4]).chamfer_l2
 
 
 def test_a_mesh_without_area_is_refused() -> None:

@@ -13,11 +13,12 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.ndimage import binary_dilation
+
 from refine_bench.coarsen import MILD, STRONG, coarsen, occupancy
 from refine_bench.shapes import ASYMMETRIC, GENERATORS, make_shape
 from refine_engine.metrics import chamfer_l2, nearest_distances, sample_surface, silhouette_iou
 from refine_engine.scene import Camera, Mesh, View
-from scipy.ndimage import binary_dilation
 
 Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -76,7 +77,7 @@ def test_the_script_makes_the_committed_files(script: ModuleType, name: str, tmp
     assert (made / "camera.json").read_text() == (committed / "camera.json").read_text()
     for which in ("gt", "coarse"):
         again = load(name, which, tmp_path)
-        assert largest_gap(again, load(name, which)) < 0.03
+        assert largest_gap(again, load(name, which)) < 0.05
         assert again.area == pytest.approx(load(name, which).area, rel=0.01)
     first, second = mask_of(made), mask_of(committed)
     assert (first & second).sum() / (first | second).sum() > 0.99
@@ -137,7 +138,7 @@ def test_shapes_are_watertight_and_symmetric_unless_said(category: str) -> None:
         if category in ASYMMETRIC:
             assert largest_gap(shape, mirrored) > 0.1
         else:
-            assert largest_gap(shape, mirrored) < 0.03
+            assert largest_gap(shape, mirrored) < 0.05
     assert len({make_shape(category, seed).volume for seed in range(3)}) == 3  # every seed another object
 
 

@@ -28,18 +28,18 @@ metrics
   2D IoU           hard silhouette against the given one; needs --camera and --silhouette
 
 normalisation
-  shared           both meshes moved and scaled by the ground truth's box, longest side 2: size and place count
+  shared           moved and scaled by the ground truth's box, longest side 2: a wrong size or place counts
   own              each mesh divided by half its own longest side, as the published evaluation of REFINE
 
 example
   refine eval out/refined.glb gt.obj --coarse coarse.obj --camera camera.json --silhouette silhouette.png
 """
-ROWS = {  # field of Scores: what the table calls it, digits
-    "emd": ("EMD", 4),
-    "chamfer_l2": ("Chamfer-l2", 2),
-    "f_score": ("F-score", 1),
-    "volumetric_iou": ("volumetric IoU", 3),
-    "silhouette_iou": ("2D IoU", 3),
+ROWS = {  # field of Scores: what the table calls it, digits, whether its change is in per cent
+    "emd": ("EMD", 4, True),
+    "chamfer_l2": ("Chamfer-l2", 2, True),
+    "f_score": ("F-score", 1, False),
+    "volumetric_iou": ("volumetric IoU", 3, False),
+    "silhouette_iou": ("2D IoU", 3, False),
 }
 
 
@@ -129,17 +129,18 @@ def _read_view(camera: Path, silhouette: Path) -> View:
 
 
 def _table(scores: Mapping[str, Scores]) -> list[str]:
-    """One line per metric; the change in per cent of the coarse value where there is one."""
+    """One line per metric; the change of distances in per cent of the coarse value, that of the others as is."""
     lines = [
         f"{'':16}" + "".join(f"{name:>12}" for name in scores) + ("      change" if len(scores) > 1 else "")
     ]
     columns = [asdict(row) for row in scores.values()]
-    for field, (label, digits) in ROWS.items():
+    for field, (label, digits, relative) in ROWS.items():
         values = [column[field] for column in columns]
         if None in values:
             continue
         line = f"{label:16}" + "".join(f"{value:12.{digits}f}" for value in values)
-        if len(values) > 1 and values[0]:
-            line += f"{100 * (values[-1] / values[0] - 1):+10.1f} %"
+        if len(values) > 1:
+            change = values[-1] - values[0]
+            line += f"{100 * change / values[0]:+10.1f} %" if relative else f"{change:+12.{digits}f}"
         lines.append(line)
     return lines
