@@ -129,7 +129,7 @@ def _read_view(camera: Path, silhouette: Path) -> View:
 
 
 def _table(scores: Mapping[str, Scores]) -> list[str]:
-    """One line per metric; the change of distances in per cent of the coarse value, that of the others as is."""
+    """One line per metric; a distance changes in per cent of the coarse value, a score by a difference."""
     lines = [
         f"{'':16}" + "".join(f"{name:>12}" for name in scores) + ("      change" if len(scores) > 1 else "")
     ]
