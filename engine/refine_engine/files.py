@@ -1,4 +1,5 @@
-"""Bytes <-> Mesh. Reading a mesh gives a MeshFile, which can write the moved vertices back into what was read.
+"""Bytes <-> Mesh. Reading a mesh gives a MeshFile, which can write the moved vertices back into what was
+read.
 
 docs/files.md says what is read, what survives and what is refused.
 """
@@ -24,7 +25,8 @@ from .polygon_files import mesh_document, read_polygons
 from .scene import Mesh
 from .weld import Floats, Weld, smooth_groups, vertex_normals, weld
 
-__all__ = ["MeshFile", "MeshLimits", "confidence_colours", "read_mesh"]
+__all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "confidence_colours", "read_mesh"]
+DEFAULT_LIMITS = MeshLimits()
 _SUFFIXES = ("glb", "gltf", "obj", "ply", "stl", "off")
 _OFF_MAGIC = re.compile(rb"\s*(ST|C|N|4|n)*OFF[\s\d#]")
 
@@ -37,7 +39,9 @@ class MeshFile:
     """
 
     mesh: Mesh  # (V) welded, world units, node transforms applied
-    vertex_of_source: Tensor  # (S,) int64: welded vertex of each vertex of the file, -1 where no triangle uses it
+    vertex_of_source: (
+        Tensor  # (S,) int64: welded vertex of each vertex of the file, -1 where no triangle uses it
+    )
     warnings: tuple[str, ...]
     _document: gltf.Document
     _scene: SceneGeometry
@@ -47,8 +51,8 @@ class MeshFile:
     def with_vertices(self, vertices: Tensor, confidence: Tensor) -> bytes:
         """The file as a GLB with moved vertices (V, 3) in world units and their symmetry confidence (V,).
 
-        Positions, normals, bounds and the attribute `_SYMMETRY_CONFIDENCE` are new, tangents are dropped, all else
-        is as it was read. Vertices that no triangle uses stay where they are, with confidence 0.
+        Positions, normals, bounds and the attribute `_SYMMETRY_CONFIDENCE` are new, tangents are dropped, all
+        else is as it was read. Vertices that no triangle uses stay where they are, with confidence 0.
         """
         self._check(vertices, confidence)
         of_source = self._weld.vertex_of
@@ -65,7 +69,9 @@ class MeshFile:
             stays = ~used[part, None]
             positions[part] = np.where(stays, placement.positions, placement.to_local(after[part]))
             local = placement.normals_to_local(shown[part])
-            local_normals[part] = np.where(stays & placement.normals.any(1, keepdims=True), placement.normals, local)
+            local_normals[part] = np.where(
+                stays & placement.normals.any(1, keepdims=True), placement.normals, local
+            )
         sigma = np.where(used, confidence.detach().cpu().double().numpy()[of_source], 0.0)
         document = move_vertices(
             self._document, self._scene.placements, self._overwritable, positions, local_normals, sigma
@@ -91,8 +97,8 @@ class MeshFile:
         return mesh_document([part], matte).to_glb()
 
     def _moved(self, vertices: Tensor) -> Floats:
-        """New world positions (V, 3) in float64: the file's own positions plus what the optimisation moved them, so
-        that a mesh far from the origin keeps its precision and an unmoved vertex its bits."""
+        """New world positions (V, 3) in float64: the file's own positions plus what the optimisation moved
+        them, so that a mesh far from the origin keeps its precision and an unmoved vertex its bits."""
         start = self._scene.world_positions()[self._weld.source_of]
         moved: Floats = start + (vertices.detach().cpu().double() - self.mesh.vertices.cpu().double()).numpy()
         return moved
@@ -108,7 +114,7 @@ class MeshFile:
             raise ValueError("expected finite vertices and confidence, got NaN or infinity")
 
 
-def read_mesh(data: bytes, name: str, limits: MeshLimits = MeshLimits()) -> MeshFile:
+def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> MeshFile:
     """Read a GLB, glTF (embedded data), OBJ, PLY, STL or OFF file.
 
     The format is decided by the content where it can be, else by the suffix of `name`.
@@ -128,7 +134,9 @@ def read_mesh(data: bytes, name: str, limits: MeshLimits = MeshLimits()) -> Mesh
     vertices = torch.from_numpy(positions[welded.source_of].astype(np.float32))
     warnings = list(scene.warnings)
     if dropped := len(scene.faces) - len(welded.faces):
-        warnings.append(f"{dropped} of {len(scene.faces)} triangles have corners that coincide and were left out")
+        warnings.append(
+            f"{dropped} of {len(scene.faces)} triangles have corners that coincide and were left out"
+        )
     return MeshFile(
         mesh=Mesh(vertices, torch.from_numpy(welded.faces)),
         vertex_of_source=torch.from_numpy(welded.vertex_of),
@@ -160,9 +168,12 @@ def _sniff(data: bytes, name: str) -> str:
     if suffix in ("obj", "stl", "off"):  # no magic, or (OFF) one that comments may precede
         return suffix
     if suffix in _SUFFIXES:
-        raise MeshInvalid(f"expected a {suffix.upper()} file by the name {name!r:.60}, got {data[:8]!r} at its start")
+        raise MeshInvalid(
+            f"expected a {suffix.upper()} file by the name {name!r:.60}, got {data[:8]!r} at its start"
+        )
     raise FormatUnsupported(
-        f"expected a mesh file ({', '.join('.' + known for known in _SUFFIXES)}), got {name!r:.60} with unknown content"
+        f"expected a mesh file ({', '.join('.' + known for known in _SUFFIXES)}), "
+        f"got {name!r:.60} with unknown content"
     )
 
 
@@ -171,5 +182,13 @@ def _malformed(kind: str) -> Iterator[None]:
     """Turn what untrusted structure trips over (a list where an object belongs) into MeshInvalid."""
     try:
         yield
-    except (AttributeError, KeyError, IndexError, TypeError, ValueError, OverflowError, np.linalg.LinAlgError) as error:
+    except (
+        AttributeError,
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        OverflowError,
+        np.linalg.LinAlgError,
+    ) as error:
         raise MeshInvalid(f"malformed {kind.upper()}: {type(error).__name__}: {error!s:.120}") from error

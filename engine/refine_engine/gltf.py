@@ -1,7 +1,7 @@
 """A glTF 2.0 document: its JSON, its bytes, and typed access to accessors. Knows nothing of meshes.
 
-GLB and glTF with embedded data are read; all buffers are laid one after another into one, so that a document is
-always written as one GLB. Source: the Khronos glTF 2.0 specification.
+GLB and glTF with embedded data are read; all buffers are laid one after another into one, so that a document
+is always written as one GLB. Source: the Khronos glTF 2.0 specification.
 """
 
 from __future__ import annotations
@@ -51,26 +51,31 @@ class Document:
         """The object number `index` of the top-level array `kind`."""
         items = self.json.get(kind, [])
         if type(index) is not int or not 0 <= index < len(items):
-            raise MeshInvalid(f"malformed glTF: expected an index of {kind} below {len(items)}, got {index!r:.40}")
+            raise MeshInvalid(
+                f"malformed glTF: expected an index of {kind} below {len(items)}, got {index!r:.40}"
+            )
         found = items[index]
         if not isinstance(found, dict):
             raise MeshInvalid(f"malformed glTF: expected an object at {kind}[{index}], got {found!r:.40}")
         return found
 
     def elements(self, accessor: Json) -> NDArray[Any]:
-        """The stored elements (count, components) as a writable view of the buffer, without sparse changes."""
+        """The stored elements (count, components) as a writable view of the buffer, without sparse
+        changes."""
         dtype, components, count = _layout(accessor)
         return self._view(accessor, dtype, components, count)
 
     def element_bytes(self, accessor: Json, of: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The bytes (count, size) of an accessor's elements as a view of `of`, an array as long as the buffer."""
+        """The bytes (count, size) of an accessor's elements as a view of `of`, an array as long as the
+        buffer."""
         dtype, components, count = _layout(accessor)
         size = components * dtype.itemsize
         start, stride = self._span(accessor, size, count)
         return np.ndarray((count, size), np.uint8, of.data, start, (stride, 1))
 
     def read(self, index: object) -> NDArray[Any]:
-        """The elements (count, components) of an accessor, sparse changes applied; normalised integers as float64."""
+        """The elements (count, components) of an accessor, sparse changes applied; normalised integers as
+        float64."""
         accessor = self.item("accessors", index)
         dtype, components, count = _layout(accessor)
         if "bufferView" in accessor:
@@ -79,9 +84,13 @@ class Document:
             elements = np.zeros((count, components), dtype)
         if sparse := accessor.get("sparse"):
             changes = natural(sparse, "count")
-            at = self._view(sparse["indices"], np.dtype(_dtype(sparse["indices"])), 1, changes)[:, 0].astype(np.int64)
+            at = self._view(sparse["indices"], np.dtype(_dtype(sparse["indices"])), 1, changes)[:, 0].astype(
+                np.int64
+            )
             if changes and (at.min() < 0 or at.max() >= count):
-                raise MeshInvalid(f"malformed glTF: sparse index {at.max()} in an accessor of {count} elements")
+                raise MeshInvalid(
+                    f"malformed glTF: sparse index {at.max()} in an accessor of {count} elements"
+                )
             elements[at] = self._view(sparse["values"], dtype, components, changes)
         if accessor.get("normalized") and dtype.kind in "iu":
             return np.maximum(elements / np.iinfo(dtype).max, -1.0)
@@ -97,7 +106,7 @@ class Document:
         start, length = natural(view, "byteOffset", 0), natural(view, "byteLength")
         if start + length > len(self.binary):
             raise MeshInvalid(
-                f"malformed glTF: a bufferView ends at byte {start + length}, its buffer has {len(self.binary)}"
+                f"malformed glTF: a bufferView ends at {start + length}, its buffer has {len(self.binary)}"
             )
         offset, stride = natural(part, "byteOffset", 0), natural(view, "byteStride", size)
         if stride < size:
@@ -107,7 +116,7 @@ class Document:
         end = offset + stride * (count - 1) + size
         if end > length:
             raise MeshInvalid(
-                f"malformed glTF: an accessor of {count} elements needs {end} bytes, its bufferView has {length}"
+                f"malformed glTF: an accessor of {count} elements needs {end} bytes, its view has {length}"
             )
         return start + offset, stride
 
@@ -218,7 +227,9 @@ def _join_buffers(document: Json, chunk: bytes | None) -> bytearray:
         else:
             raise MeshInvalid(f"malformed glTF: buffer {number} has no data")
         if len(content) < length:
-            raise MeshInvalid(f"truncated glTF: buffer {number} should have {length} bytes, got {len(content)}")
+            raise MeshInvalid(
+                f"truncated glTF: buffer {number} should have {length} bytes, got {len(content)}"
+            )
         binary.extend(b"\0" * (-len(binary) % 4))
         starts.append(len(binary))
         binary.extend(content[:length])

@@ -1,7 +1,8 @@
 """Moving the vertices of a glTF document and nothing else.
 
-Accessors that only the moved vertices use are overwritten in place; shared ones (instances, quantised or sparse data,
-overlapping bytes) stay, and a new accessor is appended at the end of the buffer. All other bytes keep their place.
+Accessors that only the moved vertices use are overwritten in place; shared ones (instances, quantised or
+sparse data, overlapping bytes) stay, and a new accessor is appended at the end of the buffer. All other bytes
+keep their place.
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ def move_vertices(
 ) -> Document:
     """A copy of `document` with new local positions (S, 3), normals (S, 3) and the confidence attribute (S,).
 
-    `overwritable` comes from `overwritable_accessors`. A mesh that several nodes use is given to each of them as its
-    own copy, since the refined instances differ. Normals are written where the document has some; tangents are
-    dropped: viewers derive them from normals and texture coordinates, and kept ones would be wrong.
+    `overwritable` comes from `overwritable_accessors`. A mesh that several nodes use is given to each of them
+    as its own copy, since the refined instances differ. Normals are written where the document has some;
+    tangents are dropped: viewers derive them from normals and texture coordinates, and kept ones would be
+    wrong.
     """
     edited = document.copy()
     by_node: dict[int, dict[int, Placement]] = {}
@@ -63,9 +65,11 @@ def move_vertices(
 
 
 def overwritable_accessors(document: Document, nodes: Set[int]) -> frozenset[int]:
-    """Accessors that nothing but the edited attributes of these nodes' meshes refers to, and whose bytes no other
-    accessor covers. Raises MeshInvalid for an accessor of the document that leaves its buffer."""
-    meshes = [document.item("meshes", n) for n in sorted({document.item("nodes", node)["mesh"] for node in nodes})]
+    """Accessors that nothing but the edited attributes of these nodes' meshes refers to, and whose bytes no
+    other accessor covers. Raises MeshInvalid for an accessor of the document that leaves its buffer."""
+    meshes = [
+        document.item("meshes", n) for n in sorted({document.item("nodes", node)["mesh"] for node in nodes})
+    ]
     edited = Counter(
         primitive["attributes"][name]
         for mesh in meshes
@@ -121,7 +125,9 @@ def _separate_instances(document: Document, nodes: Iterable[int]) -> None:
         taken.add(node["mesh"])
 
 
-def _write(document: Document, free: set[int], accessor: int | None, values: NDArray[Any], *, bounds: bool) -> int:
+def _write(
+    document: Document, free: set[int], accessor: int | None, values: NDArray[Any], *, bounds: bool
+) -> int:
     """Write elements over `accessor` if it is free, else append them; returns where they are."""
     if accessor is None or accessor not in free:
         return document.append(values, bounds=bounds)

@@ -37,11 +37,10 @@ class Placement:
         return transform(self.matrix, points)
 
     def to_local(self, points: Floats) -> Floats:
-        return transform(np.linalg.inv(self.matrix), points)
+        return transform(_inverse(self.matrix), points)
 
     def normals_to_world(self, normals: Floats) -> Floats:
-        inverse = np.linalg.inv(self.matrix)
-        return unit(transform(_linear(inverse.swapaxes(-1, -2)), normals), fallback=np.zeros(3))
+        return unit(transform(_linear(_inverse(self.matrix).swapaxes(-1, -2)), normals), fallback=np.zeros(3))
 
     def normals_to_local(self, normals: Floats) -> Floats:
         return unit(transform(_linear(self.matrix.swapaxes(-1, -2)), normals), fallback=normals)
@@ -59,15 +58,17 @@ class SceneGeometry:
         return np.concatenate([placement.to_world(placement.positions) for placement in self.placements])
 
     def world_normals(self) -> Floats:
-        return np.concatenate([placement.normals_to_world(placement.normals) for placement in self.placements])
+        return np.concatenate(
+            [placement.normals_to_world(placement.normals) for placement in self.placements]
+        )
 
 
 def triangle_primitives(mesh: Json) -> Iterator[Json]:
     """The primitives of a mesh that have triangles; points and lines are left alone."""
     for primitive in mesh.get("primitives", []):
-        if primitive.get("mode", TRIANGLES) in (TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN):
-            if "POSITION" in primitive.get("attributes", {}):
-                yield primitive
+        has_triangles = primitive.get("mode", TRIANGLES) in (TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN)
+        if has_triangles and "POSITION" in primitive.get("attributes", {}):
+            yield primitive
 
 
 def read_scene(document: Document, limits: MeshLimits) -> SceneGeometry:
@@ -101,11 +102,17 @@ def read_scene(document: Document, limits: MeshLimits) -> SceneGeometry:
 
 
 def transform(matrix: Floats, points: Floats) -> Floats:
-    """Apply (4, 4) or (N, 4, 4) to points (N, 3). Written out per coordinate so that equal points stay equal to the
-    last bit, which a matrix product does not promise."""
+    """Apply (4, 4) or (N, 4, 4) to points (N, 3). Written out per coordinate so that equal points stay equal
+    to the last bit, which a matrix product does not promise."""
     x, y, z = points[:, 0:1], points[:, 1:2], points[:, 2:3]
-    moved: Floats = x * matrix[..., :3, 0] + y * matrix[..., :3, 1] + z * matrix[..., :3, 2] + matrix[..., :3, 3]
+    moved: Floats = (
+        x * matrix[..., :3, 0] + y * matrix[..., :3, 1] + z * matrix[..., :3, 2] + matrix[..., :3, 3]
+    )
     return moved
+
+
+def _inverse(matrix: Floats) -> Floats:
+    return np.linalg.inv(matrix).astype(np.float64)
 
 
 def _linear(matrix: Floats) -> Floats:
@@ -122,7 +129,9 @@ def _world_matrices(document: Document) -> dict[int, Floats]:
         number, parent = stack.pop()
         node = document.item("nodes", number)
         if number in world:
-            raise MeshInvalid(f"malformed glTF: expected a tree of nodes, node {number} is reached twice (a cycle?)")
+            raise MeshInvalid(
+                f"malformed glTF: expected a tree of nodes, node {number} is reached twice (a cycle?)"
+            )
         with np.errstate(over="ignore", invalid="ignore"):
             world[number] = parent @ _local_matrix(node)
         stack.extend((child, world[number]) for child in node.get("children", []))
@@ -141,7 +150,9 @@ def _local_matrix(node: Json) -> Floats:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
-    x, y, z, w = unit(np.array(node.get("rotation", (0, 0, 0, 1)), np.float64), np.array([0.0, 0.0, 0.0, 1.0]))
+    x, y, z, w = unit(
+        np.array(node.get("rotation", (0, 0, 0, 1)), np.float64), np.array([0.0, 0.0, 0.0, 1.0])
+    )
     rotation = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -171,12 +182,16 @@ def _check_size(document: Document, nodes: list[int], limits: MeshLimits) -> Non
             primitives += 1
         limits.check_source(vertices, faces)
         if primitives > _MAX_PRIMITIVES:
-            raise MeshInvalid(f"expected at most {_MAX_PRIMITIVES} primitives in the scene; join the meshes first")
+            raise MeshInvalid(
+                f"expected at most {_MAX_PRIMITIVES} primitives in the scene; join the meshes first"
+            )
 
 
 def _refuse_morphed(node: Json, mesh: Json) -> None:
-    if any(node.get("weights", mesh.get("weights", []))):
-        raise FormatUnsupported("morph targets with weights other than 0 are not supported; apply them to the mesh first")
+    if any(node.get("weights") or mesh.get("weights") or []):
+        raise FormatUnsupported(
+            "morph targets with weights other than 0 are not supported; apply them to the mesh first"
+        )
 
 
 def _place(
@@ -186,7 +201,9 @@ def _place(
     positions = _vectors(document, attributes, "POSITION", 3)
     if not np.isfinite(positions).all():
         bad = int((~np.isfinite(positions)).any(1).sum())
-        raise MeshInvalid(f"expected finite vertex positions, got NaN or infinity in {bad} of {len(positions)}")
+        raise MeshInvalid(
+            f"expected finite vertex positions, got NaN or infinity in {bad} of {len(positions)}"
+        )
     normals = np.zeros_like(positions)
     if "NORMAL" in attributes:
         normals = _vectors(document, attributes, "NORMAL", 3, len(positions))
@@ -198,7 +215,9 @@ def _place(
     with np.errstate(all="ignore"):
         usable = np.isfinite(matrix).all() and (np.linalg.cond(matrix[..., :3, :3]) < _MAX_CONDITION).all()
     if not usable:
-        raise MeshInvalid(f"expected an invertible transform of node {number}, got one that flattens or is not finite")
+        raise MeshInvalid(
+            f"expected an invertible transform of node {number}, got one that flattens or is not finite"
+        )
     return Placement(number, attributes["POSITION"], start, positions, normals, matrix)
 
 
@@ -210,7 +229,9 @@ def _vectors(
         raise MeshInvalid(f"malformed glTF: {name} has {announced!r:.20} elements, POSITION has {count}")
     values = document.read(attributes[name])
     if values.shape[1] != components:
-        raise MeshInvalid(f"malformed glTF: expected {components} components in {name}, got {values.shape[1]}")
+        raise MeshInvalid(
+            f"malformed glTF: expected {components} components in {name}, got {values.shape[1]}"
+        )
     return values.astype(np.float64)
 
 
@@ -227,7 +248,9 @@ def _world_faces(document: Document, primitive: Json, placement: Placement) -> I
         raise MeshInvalid(f"expected face indices from 0 to {count - 1}, got {indices.max()}")
     faces = _triangles(indices, primitive.get("mode", TRIANGLES))
     if np.linalg.det(placement.matrix.reshape(-1, 4, 4)[0, :3, :3]) < 0:
-        faces = faces[:, ::-1]  # a mirrored node turns its triangles around, so that their front stays outside
+        faces = faces[
+            :, ::-1
+        ]  # a mirrored node turns its triangles around, so that their front stays outside
     return faces + placement.start
 
 
@@ -246,7 +269,8 @@ def _triangles(indices: Ints, mode: int) -> Ints:
 def _skin_matrices(
     document: Document, node: Json, attributes: Json, count: int, matrices: dict[int, Floats]
 ) -> Floats:
-    """Local to world (N, 4, 4) of a skinned mesh as the scene poses it: its joints place it, not its own node."""
+    """Local to world (N, 4, 4) of a skinned mesh as the scene poses it: its joints place it, not its own
+    node."""
     skin = document.item("skins", node["skin"])
     joints = skin["joints"]
     if missing := [joint for joint in joints if joint not in matrices]:
@@ -263,7 +287,9 @@ def _skin_matrices(
         index = _vectors(document, attributes, f"JOINTS_{influences}", 4, count).astype(np.int64)
         weight = _vectors(document, attributes, f"WEIGHTS_{influences}", 4, count)
         if index.size and (index.min() < 0 or index.max() >= len(joints)):
-            raise MeshInvalid(f"malformed glTF: expected joints from 0 to {len(joints) - 1}, got {index.max()}")
+            raise MeshInvalid(
+                f"malformed glTF: expected joints from 0 to {len(joints) - 1}, got {index.max()}"
+            )
         for k in range(4):
             blended += weight[:, k, None, None] * pose[index[:, k]]
         total += weight.sum(1)

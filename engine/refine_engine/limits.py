@@ -1,4 +1,5 @@
-"""How much an untrusted mesh file may ask for. Checked from headers, before anything of that size is allocated."""
+"""How much an untrusted mesh file may ask for. Checked from headers, before anything of that size is
+allocated."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ class MeshLimits:
     """The largest mesh that is read.
 
     `max_vertices` counts the vertices that are optimised, after welding. A closed triangle mesh has about six
-    corners per vertex, so a file in which every triangle has its own three vertices (STL, flat-shaded GLB) holds
-    about six times as many: `max_source_vertices` is what a file may hold before welding.
+    corners per vertex, so a file in which every triangle has its own three vertices (STL, flat-shaded GLB)
+    holds about six times as many: `max_source_vertices` is what a file may hold before welding.
     """
 
     max_vertices: int = 500_000
@@ -38,10 +39,13 @@ class MeshLimits:
                 f"({self.max_vertices} after welding), got {vertices}; simplify the mesh first"
             )
         if faces > self.max_faces:
-            raise MeshInvalid(f"expected at most {self.max_faces} triangles, got {faces}; simplify the mesh first")
+            raise MeshInvalid(
+                f"expected at most {self.max_faces} triangles, got {faces}; simplify the mesh first"
+            )
 
     def check_welded(self, vertices: int) -> None:
         if vertices > self.max_vertices:
             raise MeshInvalid(
-                f"expected at most {self.max_vertices} vertices after welding, got {vertices}; simplify the mesh first"
+                f"expected at most {self.max_vertices} vertices after welding, got {vertices}; "
+                "simplify the mesh first"
             )

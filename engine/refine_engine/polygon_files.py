@@ -1,8 +1,8 @@
 """OBJ, PLY, STL and OFF files as glTF documents, so that there is one way on from there.
 
-trimesh parses the text and the binary layouts; nothing outside the given bytes is opened. Kept: vertices in the
-file's order, polygons as triangles, vertex colours, vertex normals, one set of texture coordinates. Material and
-texture files are not part of the bytes and are dropped.
+trimesh parses the text and the binary layouts; nothing outside the given bytes is opened. Kept: vertices in
+the file's order, polygons as triangles, vertex colours, vertex normals, one set of texture coordinates.
+Material and texture files are not part of the bytes and are dropped.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ def read_polygons(data: bytes, kind: str, limits: MeshLimits) -> Document:
     if expected_faces is not None and faces != expected_faces:
         raise MeshInvalid(f"damaged OBJ file: expected {expected_faces} triangles, could read only {faces}")
     limits.check_source(sum(len(geometry.vertices) for geometry in geometries), faces)
-    has_normals = bool(re.search(rb"^vn\s" if kind == "obj" else rb"^property\s+\w+\s+nx\s", data, re.MULTILINE))
+    has_normals = bool(
+        re.search(rb"^vn\s" if kind == "obj" else rb"^property\s+\w+\s+nx\s", data, re.MULTILINE)
+    )
     parts = [_part(geometry, has_normals) for geometry in geometries]
     return mesh_document([_joined(part) for part in parts] if kind == "stl" else parts)
 
@@ -54,7 +56,9 @@ def mesh_document(parts: list[dict[str, NDArray[Any]]], material: Json | None = 
     primitives: list[Json] = []
     for part in parts:
         attributes = {
-            name: document.append(values, bounds=name == "POSITION") for name, values in part.items() if name != "faces"
+            name: document.append(values, bounds=name == "POSITION")
+            for name, values in part.items()
+            if name != "faces"
         }
         faces = part["faces"].astype("<u4").reshape(-1, 1)
         primitives.append(
@@ -82,18 +86,22 @@ def _part(geometry: trimesh.Trimesh, has_normals: bool) -> dict[str, NDArray[Any
     # A zero normal stands for "none given"; moving the vertices computes them all.
     normals = np.asarray(geometry.vertex_normals) if has_normals else np.zeros((count, 3))
     part = {"POSITION": positions.astype("<f4"), "NORMAL": normals.astype("<f4"), "faces": faces}
-    visual = geometry.visual
-    if visual.kind == "vertex" and np.shape(visual.vertex_colors) == (count, 4):
-        part["COLOR_0"] = np.asarray(visual.vertex_colors, np.uint8)
-    uv = getattr(visual, "uv", None)
+    colours = getattr(geometry.visual, "vertex_colors", None) if _has_vertex_colours(geometry) else None
+    if colours is not None and np.shape(colours) == (count, 4):
+        part["COLOR_0"] = np.asarray(colours, np.uint8)
+    uv = getattr(geometry.visual, "uv", None)
     if uv is not None and np.shape(uv) == (count, 2) and np.isfinite(uv).all():
         flipped = np.stack([uv[:, 0], 1.0 - uv[:, 1]], 1)  # glTF counts texture rows from the top
         part["TEXCOORD_0"] = flipped.astype("<f4")
     return part
 
 
+def _has_vertex_colours(geometry: trimesh.Trimesh) -> bool:
+    return geometry.visual is not None and geometry.visual.kind == "vertex"
+
+
 def _unusable(positions: NDArray[np.float64]) -> str:
-    bad = ~(np.abs(positions) <= np.finfo(np.float32).max).all(1)
+    bad = np.logical_not((np.abs(positions) <= np.finfo(np.float32).max).all(axis=1, keepdims=True))[:, 0]
     return f"{int(bad.sum())} of {len(bad)} vertices (first: {int(bad.argmax())})"
 
 
@@ -112,10 +120,11 @@ def _announced(data: bytes, kind: str) -> tuple[int, int]:
         return 0, max((len(data) - 84) // 50 if _is_binary_stl(data) else _count(rb"^\s*facet\s", data), 0)
     if kind == "ply":
         header = data[: data.find(b"end_header")]
-        counts = [re.search(rb"^element\s+%s\s+(\d+)" % name, header, re.MULTILINE) for name in (b"vertex", b"face")]
-        return _number(counts[0]), _number(counts[1])
-    header = _OFF_HEADER.search(data[:65536])
-    return (_number(header), _number(header, 2)) if header else (0, 0)
+        element = rb"^element\s+%s\s+(\d+)"
+        vertices, faces = (re.search(element % name, header, re.MULTILINE) for name in (b"vertex", b"face"))
+        return _number(vertices), _number(faces)
+    counts = _OFF_HEADER.search(data[:65536])
+    return _number(counts), _number(counts, 2)
 
 
 def _number(match: re.Match[bytes] | None, group: int = 1) -> int:
@@ -158,6 +167,8 @@ def _absolute_corner(corner: bytes, counts: list[int]) -> bytes:
         if part.startswith(b"-") and part[1:].isdigit():
             absolute = counts[slot] + 1 - int(part[1:][:18])
             if absolute < 1:
-                raise MeshInvalid(f"expected face indices from -{counts[slot]} to -1, got {part.decode()[:20]}")
+                raise MeshInvalid(
+                    f"expected face indices from -{counts[slot]} to -1, got {part.decode()[:20]}"
+                )
             parts[slot] = b"%d" % absolute
     return b"/".join(parts)

@@ -1,14 +1,16 @@
 """Joining the copies of a vertex that file formats keep, and normals that respect what was joined.
 
-A file stores one vertex per (position, texture coordinate, normal); moving the copies separately would tear the
-surface along every seam. What is joined, and what is kept apart:
+A file stores one vertex per (position, texture coordinate, normal); moving the copies separately would tear
+the surface along every seam. What is joined, and what is kept apart:
 
-- Copies at exactly one position are one vertex if at least one of them lies on an open border of the file's own
-  triangles: that is what a seam is. Where every copy closes its own fan of triangles, these are separate surfaces
-  that only touch, and they stay apart, unless their triangles coincide too (a sheet stored once per side).
+- Copies at exactly one position are one vertex if at least one of them lies on an open border of the file's
+  own triangles: that is what a seam is. Where every copy closes its own fan of triangles, these are separate
+  surfaces that only touch, and they stay apart, unless their triangles coincide too (a sheet stored once per
+  side).
 - The two ends of an edge of length zero are one vertex.
-- Border vertices that are left and are closer than 1e-5 of the bounding box diagonal (and a tenth of the median
-  edge) are one vertex. Interior vertices never are: two sheets of a double shell, however close, stay apart.
+- Border vertices that are left and are closer than 1e-5 of the bounding box diagonal (and a tenth of the
+  median edge) are one vertex. Interior vertices never are: two sheets of a double shell, however close, stay
+  apart.
 """
 
 from __future__ import annotations
@@ -101,7 +103,8 @@ def _near_links(positions: Floats, faces: Ints) -> Ints:
     swallows = np.zeros(int(group.max()) + 1, bool)
     inner = edges[group[edges[:, 0]] == group[edges[:, 1]]]
     swallows[group[inner[:, 0]]] = True
-    return links[~swallows[group[links[:, 0]]]]
+    kept: Ints = links[~swallows[group[links[:, 0]]]]
+    return kept
 
 
 def border(faces: Ints, count: int) -> NDArray[np.bool_]:
@@ -118,10 +121,13 @@ def border(faces: Ints, count: int) -> NDArray[np.bool_]:
 
 
 def smooth_groups(vertex_of: Ints, normals: Floats) -> Ints:
-    """Group (S,): copies of one vertex whose normals (S, 3) agree share a normal; across a hard edge they differ."""
+    """Group (S,): copies of one vertex whose normals (S, 3) agree share a normal; across a hard edge they
+    differ."""
     order = np.lexsort((normals[:, 2], normals[:, 1], normals[:, 0], vertex_of))
     links = []
-    for step in range(1, 9):  # equal normals are neighbours in this order; rounding may put a few others between
+    for step in range(
+        1, 9
+    ):  # equal normals are neighbours in this order; rounding may put a few others between
         a, b = order[:-step], order[step:]
         same = (vertex_of[a] == vertex_of[b]) & (vertex_of[a] >= 0)
         a, b = a[same], b[same]
@@ -133,8 +139,8 @@ def smooth_groups(vertex_of: Ints, normals: Floats) -> Ints:
 def vertex_normals(before: Floats, after: Floats, faces: Ints, group: Ints, normals: Floats) -> Floats:
     """Unit normals (S, 3) of the positions `after`, area-weighted over the triangles of each smooth group.
 
-    A triangle counts with the side that the file's `normals` (S, 3) showed on the positions `before`, so that a badly
-    wound mesh keeps its shading. Where nothing is left to average, the file's normal stays.
+    A triangle counts with the side that the file's `normals` (S, 3) showed on the positions `before`, so that
+    a badly wound mesh keeps its shading. Where nothing is left to average, the file's normal stays.
     """
     old, new = _area_vectors(before, faces), _area_vectors(after, faces)
     total = np.zeros((int(group.max(initial=-1)) + 1, 3))
@@ -158,7 +164,9 @@ def _area_vectors(positions: Floats, faces: Ints) -> Floats:
 
 
 def _proper(faces: Ints) -> NDArray[np.bool_]:
-    return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    a, b, c = faces.T
+    proper: NDArray[np.bool_] = (a != b) & (b != c) & (c != a)
+    return proper
 
 
 def _edges(faces: Ints) -> Ints:
@@ -184,4 +192,5 @@ def _first_of(ids: Ints) -> Ints:
 def _components(links: Ints, count: int) -> Ints:
     """The connected component (count,) of each of `count` things under links (N, 2)."""
     graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    labels: Ints = connected_components(graph, directed=False)[1].astype(np.int64)
+    return labels
