@@ -20,7 +20,7 @@ from . import gltf
 from .errors import FormatUnsupported, MeshInvalid
 from .gltf_edit import CONFIDENCE, move_vertices, overwritable_accessors
 from .gltf_scene import SceneGeometry, read_scene
-from .limits import MeshLimits
+from .limits import MeshLimits, one_line
 from .polygon_files import mesh_document, read_polygons
 from .scene import Mesh
 from .weld import Floats, Weld, smooth_groups, vertex_normals, weld
@@ -67,7 +67,8 @@ class MeshFile:
         for placement in self._scene.placements:
             part = placement.source
             stays = ~used[part, None]
-            positions[part] = np.where(stays, placement.positions, placement.to_local(after[part]))
+            moved_local = placement.moved(after[part], of_source[part])
+            positions[part] = np.where(stays, placement.positions, moved_local)
             local = placement.normals_to_local(shown[part])
             local_normals[part] = np.where(
                 stays & placement.normals.any(1, keepdims=True), placement.normals, local
@@ -191,4 +192,4 @@ def _malformed(kind: str) -> Iterator[None]:
         OverflowError,
         np.linalg.LinAlgError,
     ) as error:
-        raise MeshInvalid(f"malformed {kind.upper()}: {type(error).__name__}: {error!s:.120}") from error
+        raise MeshInvalid(f"malformed {kind.upper()}: {one_line(error)}") from error

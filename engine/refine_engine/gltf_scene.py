@@ -14,7 +14,7 @@ from .limits import MeshLimits
 from .weld import Floats, Ints, unit
 
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
-_MAX_PRIMITIVES = 20_000  # as placed by nodes; each costs a fixed time however few triangles it has
+_MAX_PARTS = 20_000  # nodes, and primitives as nodes place them: each costs time however few triangles it has
 _MAX_CONDITION = 1e8  # of a node's transform: beyond it world positions cannot be taken back
 
 
@@ -36,8 +36,18 @@ class Placement:
     def to_world(self, points: Floats) -> Floats:
         return transform(self.matrix, points)
 
-    def to_local(self, points: Floats) -> Floats:
-        return transform(_inverse(self.matrix), points)
+    def moved(self, world: Floats, vertex_of: Ints) -> Floats:
+        """Local positions (N, 3) after moving to `world` (N, 3); `vertex_of` (N,) are the welded vertices.
+
+        What moves is a difference, so that an unmoved vertex keeps its bits. The copies of one vertex start
+        from one position, so that they end at one to the last bit (the skinned ones only if they were bound
+        alike).
+        """
+        start = self.positions
+        if self.matrix.ndim == 2:
+            _, first, copy = np.unique(vertex_of, return_index=True, return_inverse=True)
+            start = start[first][copy]
+        return start + transform(_linear(_inverse(self.matrix)), world - self.to_world(start))
 
     def normals_to_world(self, normals: Floats) -> Floats:
         return unit(transform(_linear(_inverse(self.matrix).swapaxes(-1, -2)), normals), fallback=np.zeros(3))
@@ -132,6 +142,8 @@ def _world_matrices(document: Document) -> dict[int, Floats]:
             raise MeshInvalid(
                 f"malformed glTF: expected a tree of nodes, node {number} is reached twice (a cycle?)"
             )
+        if len(world) == _MAX_PARTS:
+            raise MeshInvalid(f"expected at most {_MAX_PARTS} nodes in the scene; join the meshes first")
         with np.errstate(over="ignore", invalid="ignore"):
             world[number] = parent @ _local_matrix(node)
         stack.extend((child, world[number]) for child in node.get("children", []))
@@ -150,16 +162,15 @@ def _local_matrix(node: Json) -> Floats:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
-    x, y, z, w = unit(
-        np.array(node.get("rotation", (0, 0, 0, 1)), np.float64), np.array([0.0, 0.0, 0.0, 1.0])
-    )
-    rotation = [
+    rotation = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64).reshape(4)
+    x, y, z, w = unit(rotation, fallback=np.array([0.0, 0.0, 0.0, 1.0]))
+    rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    matrix[:3, :3] = np.array(rotation) * np.array(node.get("scale", (1, 1, 1)), np.float64)
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    matrix[:3, :3] = np.array(rows) * np.array(node.get("scale", (1, 1, 1)), np.float64).reshape(3)
+    matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64).reshape(3)
     return matrix
 
 
@@ -181,10 +192,8 @@ def _check_size(document: Document, nodes: list[int], limits: MeshLimits) -> Non
             faces += corners // 3 if primitive.get("mode", TRIANGLES) == TRIANGLES else max(corners - 2, 0)
             primitives += 1
         limits.check_source(vertices, faces)
-        if primitives > _MAX_PRIMITIVES:
-            raise MeshInvalid(
-                f"expected at most {_MAX_PRIMITIVES} primitives in the scene; join the meshes first"
-            )
+        if primitives > _MAX_PARTS:
+            raise MeshInvalid(f"expected at most {_MAX_PARTS} primitives in the scene; join the meshes first")
 
 
 def _refuse_morphed(node: Json, mesh: Json) -> None:

@@ -12,6 +12,7 @@ from PIL import Image
 from torch import Tensor
 
 from .errors import FormatUnsupported, SilhouetteInvalid
+from .limits import one_line
 
 MAX_SIDE = 4096  # pixels
 DEFAULT_THRESHOLD = 0.25
@@ -34,7 +35,7 @@ def read_silhouette(data: bytes, threshold: float = DEFAULT_THRESHOLD) -> Tensor
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
             level = _level(image)
     except Exception as error:  # a decoder may fail in any way on damaged bytes
-        raise SilhouetteInvalid(f"damaged PNG file: {type(error).__name__}: {error!s:.120}") from error
+        raise SilhouetteInvalid(f"damaged PNG file: {one_line(error)}") from error
     silhouette = level > threshold
     if not silhouette.any():
         raise SilhouetteInvalid(

@@ -49,3 +49,8 @@ class MeshLimits:
                 f"expected at most {self.max_vertices} vertices after welding, got {vertices}; "
                 "simplify the mesh first"
             )
+
+
+def one_line(error: Exception) -> str:
+    """A parser's complaint, short and on one line, for use inside our own message."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:120]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from .errors import MeshInvalid
 from .gltf import ELEMENT_ARRAY_BUFFER, Document, Json
-from .limits import MeshLimits
+from .limits import MeshLimits, one_line
 from .weld import weld
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
@@ -35,7 +35,7 @@ def read_polygons(data: bytes, kind: str, limits: MeshLimits) -> Document:
         with np.errstate(all="ignore"):  # a colour that is NaN must not cost the mesh
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False)
     except Exception as error:  # a parser may fail in any way on damaged bytes
-        raise MeshInvalid(f"damaged {kind.upper()} file: {type(error).__name__}: {error!s:.120}") from error
+        raise MeshInvalid(f"damaged {kind.upper()} file: {one_line(error)}") from error
     geometries = [g for g in scene.geometry.values() if isinstance(g, trimesh.Trimesh) and len(g.faces)]
     if not geometries:
         raise MeshInvalid(f"expected triangles or polygons in the {kind.upper()} file, got none")
@@ -60,6 +60,8 @@ def mesh_document(parts: list[dict[str, NDArray[Any]]], material: Json | None = 
             for name, values in part.items()
             if name != "faces"
         }
+        if "COLOR_0" in part and part["COLOR_0"].dtype == np.uint8:
+            document.item("accessors", attributes["COLOR_0"])["normalized"] = True
         faces = part["faces"].astype("<u4").reshape(-1, 1)
         primitives.append(
             {"attributes": attributes, "indices": document.append(faces, target=ELEMENT_ARRAY_BUFFER)}

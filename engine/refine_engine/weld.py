@@ -51,7 +51,7 @@ def weld(positions: Floats, faces: Ints) -> Weld:
     joined = near[joined]
     joined = joined[_proper(joined)]
     label = near[exact]
-    used = np.unique(joined)
+    used = _used(joined, len(first))
     source_of = _first_of(label)[used]
     order = np.argsort(source_of)
     vertex = np.full(int(label.max(initial=-1)) + 1, -1, np.int64)
@@ -62,7 +62,7 @@ def weld(positions: Floats, faces: Ints) -> Weld:
 def _exact_links(positions: Floats, faces: Ints) -> Ints:
     place = _row_ids(positions + 0.0)  # + 0.0: -0.0 and 0.0 are one place
     first = _first_of(place)
-    used = np.unique(faces)
+    used = _used(faces, len(positions))
     seam = np.zeros(len(first), bool)
     seam[place[used[border(faces, len(positions))[used]]]] = True
     copies = used[seam[place[used]]]
@@ -89,7 +89,7 @@ def _near_links(positions: Floats, faces: Ints) -> Ints:
         return none
     edges = _edges(faces)
     lengths = np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)
-    used = positions[np.unique(faces)]
+    used = positions[_used(faces, len(positions))]
     diagonal = float(np.linalg.norm(used.max(0) - used.min(0)))
     reach = min(_TOLERANCE * diagonal, 0.1 * float(np.median(lengths)))
     neighbours = min(5, len(open_ends))  # itself and four more: bounded whatever the file holds
@@ -171,6 +171,13 @@ def _proper(faces: Ints) -> NDArray[np.bool_]:
 
 def _edges(faces: Ints) -> Ints:
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def _used(faces: Ints, count: int) -> Ints:
+    """Which of `count` vertices the faces use, ascending."""
+    marked = np.zeros(count, bool)
+    marked[faces] = True
+    return np.flatnonzero(marked)
 
 
 def _row_ids(rows: NDArray[Any]) -> Ints:
