@@ -60,9 +60,11 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
     parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json")
+    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="for the artifacts")
-    parser.add_argument("--preset", choices=list(PRESETS), default="default")
+    parser.add_argument(
+        "--preset", choices=list(PRESETS), default="default", help="the numbers of the method"
+    )
     parser.add_argument("--iterations", type=int, metavar="N", help="default: the preset's")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the network's weights (0)")
     parser.add_argument(
@@ -77,7 +79,9 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         "--silhouette-threshold", type=float, default=0.25, metavar="T",
         help="pixels above this share of full scale are the object (0.25)",
     )  # fmt: skip
-    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
+    parser.add_argument(
+        "--device", choices=["auto", "cpu", "cuda"], default="auto", help="auto: CUDA if present"
+    )
     parser.add_argument(
         "--threads", type=int, default=_cores(), metavar="N", help="default: all cores (%(default)s)"
     )
