@@ -5,18 +5,17 @@ from __future__ import annotations
 import io
 import json
 import platform
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 import torch
 
-from .cameras import project
 from .config import RefineConfig
 from .files import MeshFile
 from .preview import draw_confidence, draw_preview
-from .problem import Frame, symmetry_views
+from .problem import Frame, SymmetryViews
 from .scene import Mesh, Result, View
 from .silhouette import interpolate, rasterize
 
@@ -63,14 +62,11 @@ def confidence_arrays(mesh_file: MeshFile, result: Result, config: RefineConfig)
     of_source = mesh_file.vertex_of_source
     per_source = torch.where(of_source >= 0, confidence[of_source.clamp_min(0)], torch.nan)
     coarse = Mesh(mesh_file.mesh.vertices.cpu(), mesh_file.mesh.faces.cpu())
-    frame = Frame.of(coarse, config)
+    frame = Frame.of(coarse, replace(config, symmetry_offset=result.symmetry_offset))
     side = config.stages[-1].render_size
-    cameras, reflected, intrinsics = symmetry_views(config, side, torch.device("cpu"))
-    world_to_camera, intrinsics = torch.cat([cameras, reflected]), torch.cat([intrinsics, intrinsics])
+    views = SymmetryViews.of(config, side, frame.normal)
     vertices = result.mesh.vertices.detach().cpu()
-    fragments = rasterize(
-        project(frame.normalise(vertices), world_to_camera, intrinsics), coarse.faces, (side, side)
-    )
+    fragments = rasterize(views.project(frame.normalise(vertices)), coarse.faces, (side, side))
     maps = interpolate(fragments, coarse.faces, confidence)
     arrays = {
         "vertices": vertices,
@@ -78,8 +74,8 @@ def confidence_arrays(mesh_file: MeshFile, result: Result, config: RefineConfig)
         "vertex": confidence,
         "source_vertex": per_source,
         "views": torch.where(fragments.face >= 0, maps, torch.nan),
-        "world_to_camera": world_to_camera,
-        "intrinsics": intrinsics,
+        "world_to_camera": views.world_to_camera,
+        "intrinsics": views.intrinsics,
         "centre": frame.centre,
         "scale": torch.tensor(frame.scale),
     }
@@ -92,6 +88,7 @@ def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> di
     return {
         "silhouette_iou": {"before": result.silhouette_iou_before, "after": result.silhouette_iou_after},
         "best_iteration": result.best_iteration,
+        "symmetry_offset": result.symmetry_offset,
         "mesh": {
             "vertices": len(mesh_file.mesh.vertices),
             "faces": len(mesh_file.mesh.faces),

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from .scene import Camera, View
-
+from .scene import Camera
 from .silhouette.oracle import NEAR
 
 

@@ -35,16 +35,44 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class RefineConfig:
-    """The numbers of one run. The defaults are the recommended preset; `paper()` and `fast()` are the others."""
+class ProportionFit:
+    """The first step of the default: scales, shear and place of the whole mesh; not in the paper.
 
-    stages: tuple[Stage, ...] = (Stage(100, 56, 3e-3), Stage(100, 112, 6e-4), Stage(200, 224, 1e-4))
+    See `proportions`. The priors weigh squares, of unit-box lengths, against the squared difference
+    of the images relative to the object's area.
+    """
+
+    iterations: int = 60
+    render_size: int = 112
+    """Side of the square renders, pixels; divisible by 32."""
+    softness: float = 4e-5
+    """As in Stage; sharp, because the image pyramid reaches far and a soft outline is biased outwards."""
+    learning_rate: float = 0.015
+    shape_prior: float = 0.2
+    """On the logarithms of the scales and on the shear."""
+    translation_prior: float = 0.4
+    """On the translation in the mirror plane."""
+    depth_prior: float = 2.0
+    """On the translation along the viewing direction, which one silhouette hardly sees."""
+    plane_prior: float = 0.002
+    """On the translation along the plane's normal, over the squared distance of mesh and mirror image."""
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """The numbers of one run. The defaults are the recommended preset; `paper()`, `fast()` the others."""
+
+    proportions: ProportionFit | None = field(default_factory=ProportionFit)
+    """The fit of the whole mesh before the network; None: no such step (paper)."""
+    stages: tuple[Stage, ...] = (Stage(200, 224, 3e-5),)
     weights: Weights = field(default_factory=Weights)
     confidence_cost: float = 0.0005
     """lambda_B: what it costs to call a place asymmetric."""
-    learning_rate: float = 7e-5
-    encoder_size: int = 224
+    learning_rate: float = 1.4e-4
+    encoder_size: int = 112
     """Side of the silhouette that the encoder sees, pixels."""
+    train_encoder: bool = False
+    """False: the random features of the silhouette are computed once (paper: True)."""
     symmetry_azimuths_degrees: tuple[float, ...] = (15.0, 45.0, 75.0)
     symmetry_elevations_degrees: tuple[float, ...] = (-45.0, 45.0)
     symmetry_distance: float = 1.9
@@ -52,7 +80,7 @@ class RefineConfig:
     symmetry_normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Normal of the mirror plane, world frame."""
     symmetry_offset: float | None = None
-    """The plane is normal.x = offset, world units; None: where the mirrored coarse mesh is nearest to itself."""
+    """The plane is normal.x = offset, world units; None: where the mirrored mesh is nearest to itself."""
     seed: int = 0
     """Of the network's random weights."""
 
@@ -62,7 +90,7 @@ class RefineConfig:
             raise OptionsInvalid(f"expected a symmetry_normal with a direction, got {self.symmetry_normal}")
         if self.symmetry_offset is not None and not math.isfinite(self.symmetry_offset):
             raise OptionsInvalid(f"expected a finite symmetry_offset, got {self.symmetry_offset}")
-        if not self.stages or min(s.iterations for s in self.stages) < 1:
+        if not self.stages or min(stage.iterations for stage in self.stages) < 1:
             raise OptionsInvalid(f"expected stages of at least one iteration, got {self.stages}")
 
     @property
@@ -72,5 +100,17 @@ class RefineConfig:
 
     @staticmethod
     def paper() -> RefineConfig:
-        """The published method, for comparison with the literature: one stage, plane through the world origin."""
-        return RefineConfig(stages=(Stage(400, 224, 1e-4),), symmetry_offset=0.0)
+        """The published method, for comparison with the literature: plane through the world origin."""
+        return RefineConfig(
+            proportions=None,
+            stages=(Stage(400, 224, 1e-4),),
+            learning_rate=7e-5,
+            encoder_size=224,
+            train_encoder=True,
+            symmetry_offset=0.0,
+        )
+
+    @staticmethod
+    def fast() -> RefineConfig:
+        """A quarter of the cost of `paper()` or less."""
+        return RefineConfig(stages=(Stage(60, 224, 3e-5),), learning_rate=2e-4)

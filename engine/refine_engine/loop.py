@@ -1,13 +1,15 @@
-"""The method: fit a network to one mesh, one silhouette and one camera (paper, section 3).
+"""The method: fit a network to one mesh, its silhouettes and cameras (paper, section 3).
 
     network -> displacement, confidence -> deform -> render -> losses -> step; keep the best; report.
 
-Everything that is constant is built before the loop. Inside it no value goes to the host except when progress
-is reported, at most twice a second, so that one iteration can be captured in a CUDA graph.
+`refine` is the run, `Fit` its state, `Fit.step` one iteration. A step works on tensors that were there before
+it and sends nothing to the host, so that it can be captured in a CUDA graph; the host looks at most twice a
+second.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 
@@ -15,15 +17,16 @@ import torch
 from torch import Tensor
 
 from . import losses
-from .cameras import project
 from .config import RefineConfig, Stage
 from .errors import Cancelled, Diverged
+from .metrics import silhouette_iou
 from .network import Refiner, initialise
-from .problem import Frame, Target, resize, symmetry_views, unit_normal
+from .problem import Frame, SymmetryViews, Target
+from .proportions import fit_proportions
 from .scene import Mesh, Progress, Result, View
-from .silhouette import cpu, interpolate, optical_depth, rasterize
-from .symmetry import mirror_matrix, nearest_mirrored
-from .topology import Topology, neighbour_sum
+from .silhouette import image_symmetry, optical_depth, rasterize
+from .symmetry import mirror_error, mirror_matrix, nearest_mirrored
+from .topology import Topology, neighbour_mean
 
 TERMS = ("silhouette", "image_symmetry", "vertex_symmetry", "displacement", "normal_consistency", "laplacian")
 REPORT_INTERVAL_S = 0.5
@@ -36,80 +39,169 @@ def refine(
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Result:
-    """Refine a coarse mesh so that it agrees with its silhouettes and stays plausible where they say nothing."""
+    """Refine a coarse mesh so that it agrees with its silhouettes and stays plausible where they say nothing.
+
+    Mesh and views are on one device, which does the work. `report` hears of the progress at most twice a
+    second and of the last iteration; `cancelled` is asked before every iteration. The same seed, device and
+    number of threads give the same result.
+
+    Raises:
+        Cancelled: `cancelled` said so.
+        Diverged: a loss became NaN or infinite.
+    """
     started = time.monotonic()
-    objective = Objective(mesh, views, config)
-    generator = torch.Generator().manual_seed(config.seed)
-    network = Refiner()
-    initialise(network, float(objective.topology.degree.mean()), generator)
-    network.to(mesh.vertices.device)
-    optimiser = torch.optim.Adam(network.parameters(), config.learning_rate, fused=True)
-    curve = torch.zeros(config.iterations, len(TERMS) + 1)
-    iteration = 0
-    last = 0.0
-    best = None
+    proportioned = move_as_a_whole(mesh, views, config)
+    fit = Fit(proportioned, views, config)
+    iteration, reported = 0, -math.inf
     for stage in config.stages:
-        objective.enter(stage)
-        best_total = torch.tensor(float("inf"))
+        fit.enter(stage)
         for _ in range(stage.iterations):
             if cancelled is not None and cancelled():
                 raise Cancelled(f"cancelled after {iteration} of {config.iterations} iterations")
-            offsets, confidence = network(objective.seen, objective.grid, objective.coarse, objective.topology)
-            terms = objective.terms(offsets, confidence)
-            total = sum(terms)
-            optimiser.zero_grad()
-            total.backward()
-            optimiser.step()
-            with torch.no_grad():
-                curve[iteration] = torch.stack([*terms, total])
-                better = total < best_total
-                best_total = torch.where(better, total, best_total)
-                best = (offsets.detach(), confidence.detach()) if best is None else (
-                    torch.where(better, offsets, best[0]), torch.where(better, confidence, best[1]))
+            fit.step()
             iteration += 1
             now = time.monotonic()
-            if report and now - last > REPORT_INTERVAL_S:
-                last = now
-                report(Progress(iteration, config.iterations, dict(zip((*TERMS, "total"), curve[iteration - 1].tolist())), 0.0))
-    offsets, confidence = best
-    vertices = mesh.vertices + offsets * objective.frame.scale
-    return Result(Mesh(vertices, mesh.faces), offsets * objective.frame.scale, confidence, 0,
-                  {n: curve[:, i].tolist() for i, n in enumerate((*TERMS, "total"))}, 0, 0, time.monotonic() - started)
+            if report and (now - reported > REPORT_INTERVAL_S or iteration == config.iterations):
+                report(fit.progress(iteration))
+                reported = now
+    refined = Mesh(fit.refined(), mesh.faces)
+    return Result(
+        mesh=refined,
+        displacement=refined.vertices - mesh.vertices,
+        confidence=fit.best_confidence,
+        best_iteration=int(fit.best_iteration),
+        loss_curve=fit.loss_curve(),
+        silhouette_iou_before=mean_silhouette_iou(mesh, views),
+        silhouette_iou_after=mean_silhouette_iou(refined, views),
+        symmetry_offset=float(fit.frame.centre @ fit.frame.normal),
+        seconds=time.monotonic() - started,
+    )
 
 
-class Objective:
-    def __init__(self, mesh, views, config):
+def move_as_a_whole(mesh: Mesh, views: Sequence[View], config: RefineConfig) -> Mesh:
+    """The coarse mesh with its proportions and place fitted to the silhouettes, if the config asks for it."""
+    if config.proportions is None:
+        return mesh
+    frame = Frame.of(mesh, config)
+    error = None
+    if config.symmetry_offset is None:
+        error = mirror_error(mesh, frame.normal)(float(frame.centre @ frame.normal)) / frame.scale
+    target = Target.of(views, frame, config.proportions.render_size)
+    moved = fit_proportions(
+        frame.normalise(mesh.vertices), mesh.faces, target, frame.normal, error, config.proportions
+    )
+    return Mesh(moved * frame.scale + frame.centre, mesh.faces)
+
+
+def mean_silhouette_iou(mesh: Mesh, views: Sequence[View]) -> float:
+    """2D IoU of hard renders, mean over the views."""
+    return sum(silhouette_iou(mesh, view) for view in views) / len(views)
+
+
+class Fit:
+    """One run: what is fixed, the network, the optimiser, and the best iterate of the stage so far."""
+
+    def __init__(self, mesh: Mesh, views: Sequence[View], config: RefineConfig) -> None:
         self.config, self.views = config, views
         self.frame = Frame.of(mesh, config)
-        self.coarse = self.frame.normalise(mesh.vertices)
+        self.coarse = self.frame.normalise(mesh.vertices)  # (V, 3)
         self.topology = Topology.of(mesh.faces, len(mesh.vertices))
-        self.mirror = mirror_matrix(unit_normal(config, self.coarse))
-        t = Target.of(views, self.frame, config.encoder_size)
-        self.seen = t.silhouette[:1, None]
-        screen = project(self.coarse, t.world_to_camera[:1], t.intrinsics[:1], t.orthographic)
-        self.grid = (screen[..., :2] * 2 / config.encoder_size - 1)[:, None]
+        self.mirror = mirror_matrix(self.frame.normal)
 
-    def enter(self, stage: Stage):
+        seen = Target.of(views[:1], self.frame, config.encoder_size)
+        self.seen = seen.silhouette[:, None]  # (1, 1, N, N): the encoder looks at the first view
+        self.grid = (seen.project(self.coarse)[..., :2] * 2 / seen.side - 1)[:, None]  # (1, 1, V, 2)
+        network = Refiner()
+        initialise(network, float(self.topology.degree.mean()), torch.Generator().manual_seed(config.seed))
+        self.network = network.to(self.coarse.device)
+        self.features: Tensor | None = None
+        if not config.train_encoder:
+            network.encoder.requires_grad_(False)
+            self.features = network.features(self.seen, self.grid)
+        trained = [p for p in network.parameters() if p.requires_grad]
+        self.optimiser = torch.optim.Adam(trained, config.learning_rate, fused=True)
+
+        self.iteration = self.coarse.new_zeros(1, dtype=torch.int64)
+        self.curve = self.coarse.new_zeros(config.iterations, len(TERMS) + 1)  # weighted terms, total
+        self.iou = self.coarse.new_zeros(())
+        self.best_total = self.coarse.new_full((), math.inf)
+        self.best_offsets = torch.zeros_like(self.coarse)
+        self.best_confidence = torch.ones_like(self.coarse[:, 0])
+        self.best_iteration = torch.zeros_like(self.iteration)
+
+    def enter(self, stage: Stage) -> None:
+        """Totals of different stages do not compare: the best iterate is the best of the last one."""
         self.stage = stage
         self.target = Target.of(self.views, self.frame, stage.render_size)
-        self.p, self.tp, self.k = symmetry_views(self.config, stage.render_size, self.coarse.device)
+        self.pairs = SymmetryViews.of(self.config, stage.render_size, self.frame.normal)
+        self.best_total.fill_(math.inf)
 
-    def terms(self, offsets, confidence):
-        c, stage, w = self.config, self.stage, self.config.weights
+    def step(self) -> None:
+        """One iteration."""
+        features = self.network.features(self.seen, self.grid) if self.features is None else self.features
+        offsets, confidence = self.network(features, self.coarse, self.topology)
         vertices = self.coarse + offsets
-        t = self.target
-        mesh_views = project(vertices, t.world_to_camera, t.intrinsics, t.orthographic)
-        both = project(vertices, torch.cat([self.p, self.tp]), torch.cat([self.k, self.k]))
-        depth = optical_depth(torch.cat([mesh_views, both]), self.topology.faces, stage.render_size, stage.softness)
-        n, m = len(mesh_views), len(self.p)
-        fragments = rasterize(both[m:], self.topology.faces, (stage.render_size,) * 2)
+        depth, image_symmetry_loss = self.render(vertices, confidence)
         nearest = nearest_mirrored(vertices, self.mirror)
-        mean = neighbour_sum(vertices, self.topology) / self.topology.degree
-        return [
-            w.silhouette * losses.silhouette(depth[:n], t.silhouette, t.known),
-            w.image_symmetry * cpu.image_symmetry(depth[n:n+m], depth[n+m:], fragments, self.topology.faces, confidence, c.confidence_cost),
-            w.vertex_symmetry * losses.vertex_symmetry(vertices, nearest, self.mirror, confidence, c.confidence_cost),
-            w.displacement * losses.displacement(offsets),
-            w.normal_consistency * losses.normal_consistency(vertices, self.topology),
-            w.laplacian * losses.laplacian(vertices, mean),
-        ]
+        cost, weights = self.config.confidence_cost, self.config.weights
+        terms = torch.stack(
+            [
+                weights.silhouette * losses.silhouette(depth, self.target.silhouette, self.target.known),
+                weights.image_symmetry * image_symmetry_loss,
+                weights.vertex_symmetry
+                * losses.vertex_symmetry(vertices, nearest, self.mirror, confidence, cost),
+                weights.displacement * losses.displacement(offsets),
+                weights.normal_consistency * losses.normal_consistency(vertices, self.topology),
+                weights.laplacian * losses.laplacian(vertices, neighbour_mean(vertices, self.topology)),
+            ]
+        )
+        total = terms.sum()
+        self.optimiser.zero_grad()
+        total.backward()
+        self.optimiser.step()
+        self.keep(terms.detach(), total.detach(), offsets.detach(), confidence.detach(), depth.detach())
+
+    def render(self, vertices: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
+        """Optical depth at the input cameras (B, N, N), and the image symmetry loss of the view pairs."""
+        faces, side = self.topology.faces, self.stage.render_size
+        pairs = self.pairs.project(vertices)  # (2m, V, 3)
+        screen = torch.cat([self.target.project(vertices), pairs])
+        depth = optical_depth(screen, faces, side, self.stage.softness)
+        inputs, m = len(self.views), len(pairs) // 2
+        visible = rasterize(pairs[m:], faces, (side, side))
+        seen, mirrored = depth[inputs : inputs + m], depth[inputs + m :]
+        return depth[:inputs], image_symmetry(
+            seen, mirrored, visible, faces, confidence, self.config.confidence_cost
+        )
+
+    def keep(self, terms: Tensor, total: Tensor, offsets: Tensor, confidence: Tensor, depth: Tensor) -> None:
+        """Write the loss curve, and remember this iterate if it is the best of its stage."""
+        self.curve.index_copy_(0, self.iteration, torch.cat([terms, total[None]])[None])
+        self.iteration += 1
+        better = total < self.best_total
+        for best, now in (
+            (self.best_total, total),
+            (self.best_offsets, offsets),
+            (self.best_confidence, confidence),
+            (self.best_iteration, self.iteration),
+        ):
+            torch.where(better, now, best, out=best)
+        covered, wanted = depth > math.log(2), self.target.silhouette > 0.5
+        torch.div((covered & wanted).sum(), (covered | wanted).sum(), out=self.iou)
+
+    def progress(self, iteration: int) -> Progress:
+        """The losses of an iteration that is done. Raises Diverged when they are not finite."""
+        values = self.curve[iteration - 1].tolist()
+        if not math.isfinite(values[-1]):
+            raise Diverged(f"the loss became {values[-1]} by iteration {iteration}; try another seed")
+        losses_by_name = dict(zip((*TERMS, "total"), values, strict=True))
+        return Progress(iteration, self.config.iterations, losses_by_name, float(self.iou))
+
+    def refined(self) -> Tensor:
+        """The best iterate's vertices (V, 3), world units. Raises Diverged when no loss was finite."""
+        self.progress(self.config.iterations)
+        return (self.coarse + self.best_offsets) * self.frame.scale + self.frame.centre
+
+    def loss_curve(self) -> dict[str, list[float]]:
+        """Weighted terms and their total per iteration."""
+        return dict(zip((*TERMS, "total"), self.curve.T.tolist(), strict=True))

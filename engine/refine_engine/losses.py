@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from .topology import Topology
@@ -26,6 +27,20 @@ def silhouette(optical_depth: Tensor, target: Tensor, known: Tensor) -> Tensor:
     return (cross_entropy * known).sum() / known.sum()
 
 
+def silhouette_pyramid(optical_depth: Tensor, target: Tensor, known: Tensor, levels: int = 6) -> Tensor:
+    """Squared difference of alpha and target, relative to the object's area, mean over an image pyramid.
+
+    A level halves the one below by means of 2 x 2: an outline that is far off still makes a difference
+    there, whichever side it is on. All (B, N, N), N divisible by 2^(levels - 1).
+    """
+    difference = (known * (alpha(optical_depth) - target))[:, None]
+    total = difference.square().mean()
+    for _ in range(levels - 1):
+        difference = F.avg_pool2d(difference, 2)
+        total = total + difference.square().mean()
+    return total / levels / target.mean()
+
+
 def confidence_cost(confidence: Tensor, cost: float) -> Tensor:
     """lambda_B ln(1 / sigma): what it costs to call a place asymmetric."""
     return -cost * torch.log(confidence.clamp_min(1e-6))
@@ -38,12 +53,14 @@ def image_symmetry(
     covered: Tensor,  # (B, N, N) 1 where a face is visible at T p
     cost: float,
 ) -> Tensor:
-    """Mean over view pairs and pixels of sigma (flip(alpha at p) - alpha at T p)^2 + lambda_B ln(1 / sigma)."""
+    """Mean over pairs and pixels of sigma (flip(alpha at p) - alpha at T p)^2 + lambda_B ln(1 / sigma)."""
     difference = (alpha(seen).flip(-1) - alpha(mirrored)).square()
     return (covered * (confidence * difference + confidence_cost(confidence, cost))).mean()
 
 
-def vertex_symmetry(vertices: Tensor, nearest: Tensor, mirror: Tensor, confidence: Tensor, cost: float) -> Tensor:
+def vertex_symmetry(
+    vertices: Tensor, nearest: Tensor, mirror: Tensor, confidence: Tensor, cost: float
+) -> Tensor:
     """Mean over v of sigma_v min_u |T v - u|^2 + lambda_B ln(1 / sigma_v).
 
     vertices (V, 3), nearest (V,) index of u for each v, mirror (3, 3) = T, confidence (V,).
@@ -63,7 +80,9 @@ def normal_consistency(vertices: Tensor, topology: Topology) -> Tensor:
     edge = end - start
     normal = torch.linalg.cross(edge, one - start)
     opposite = torch.linalg.cross(other - start, edge)
-    return (1 - torch.cosine_similarity(normal, opposite, dim=1, eps=1e-12)).mean() if len(edge) else edge.sum()
+    return (
+        (1 - torch.cosine_similarity(normal, opposite, dim=1, eps=1e-12)).mean() if len(edge) else edge.sum()
+    )
 
 
 def laplacian(vertices: Tensor, neighbour_mean: Tensor) -> Tensor:

@@ -26,13 +26,15 @@ class ResidualBlock(nn.Module):
         self.shortcut: nn.Module = nn.Identity()
         if stride != 1 or channels_in != channels:
             self.shortcut = nn.Sequential(
-                nn.Conv2d(channels_in, channels, 1, stride, bias=False), nn.InstanceNorm2d(channels, affine=True)
+                nn.Conv2d(channels_in, channels, 1, stride, bias=False),
+                nn.InstanceNorm2d(channels, affine=True),
             )
 
     def forward(self, x: Tensor) -> Tensor:
         y = F.relu(self.norm1(self.conv1(x)))
         y = self.norm2(self.conv2(y))
-        return F.relu(y + self.shortcut(x))
+        summed: Tensor = y + self.shortcut(x)
+        return F.relu(summed)
 
 
 class Encoder(nn.Module):
@@ -41,7 +43,10 @@ class Encoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stem = nn.Sequential(
-            nn.Conv2d(1, 64, 7, 2, 3, bias=False), nn.InstanceNorm2d(64, affine=True), nn.ReLU(), nn.MaxPool2d(3, 2, 1)
+            nn.Conv2d(1, 64, 7, 2, 3, bias=False),
+            nn.InstanceNorm2d(64, affine=True),
+            nn.ReLU(),
+            nn.MaxPool2d(3, 2, 1),
         )
         self.stage1 = nn.Sequential(ResidualBlock(64, 64, 1), ResidualBlock(64, 64, 1))
         self.stage2 = nn.Sequential(ResidualBlock(64, 128, 2), ResidualBlock(128, 128, 1))
@@ -60,7 +65,8 @@ class GraphConv(nn.Module):
         self.own_and_neighbour = nn.Linear(channels_in, 2 * channels)
 
     def forward(self, x: Tensor, topology: Topology) -> Tensor:
-        own, neighbour = self.own_and_neighbour(x).chunk(2, 1)
+        both: Tensor = self.own_and_neighbour(x)
+        own, neighbour = both.chunk(2, 1)
         return own + neighbour_sum(neighbour, topology)
 
 
@@ -77,26 +83,29 @@ class Refiner(nn.Module):
             nn.Linear(WIDTH, 32), nn.ReLU(), nn.Linear(32, 16), nn.ReLU(), nn.Linear(16, 1), nn.Sigmoid()
         )
 
-    def forward(
-        self,
-        silhouette: Tensor,  # (1, 1, N, N)
-        grid: Tensor,  # (1, 1, V, 2) where the camera sees each vertex, -1 ... 1 across the image
-        vertices: Tensor,  # (V, 3) normalised
-        topology: Topology,
-    ) -> tuple[Tensor, Tensor]:
+    def features(self, silhouette: Tensor, grid: Tensor) -> Tensor:
+        """What the encoder sees at each vertex: (V, 192).
+
+        silhouette (1, 1, N, N); grid (1, 1, V, 2) where the camera sees each vertex, -1 ... 1 over the image.
+        """
         maps = self.encoder(silhouette)
         seen = [F.grid_sample(m, grid, align_corners=False, padding_mode="border")[0, :, 0].T for m in maps]
-        x = torch.cat([self.bottleneck(torch.cat(seen, 1)), vertices], 1)
+        return torch.cat(seen, 1)
+
+    def forward(self, features: Tensor, vertices: Tensor, topology: Topology) -> tuple[Tensor, Tensor]:
+        """(V, 192) and normalised (V, 3) -> displacement (V, 3), symmetry confidence (V,) in [0, 1]."""
+        x = torch.cat([self.bottleneck(features), vertices], 1)
         for conv in self.convs:
             x = F.relu(conv(x, topology))
-        return self.displacement(x), self.confidence(x)[:, 0]
+        confidence: Tensor = self.confidence(x)
+        return self.displacement(x), confidence[:, 0]
 
 
 def initialise(network: Refiner, mean_degree: float, generator: torch.Generator) -> None:
     """Random weights that keep the variance of activations (He et al. 2015), every draw from one generator.
 
-    A graph convolution adds 1 + degree inputs, and neighbours are alike: their sum is about `degree` times one
-    of them. The displacement head starts at zero, so that the first iterate is the coarse mesh.
+    A graph convolution adds 1 + degree inputs, and neighbours are alike: their sum is about `degree` times
+    one of them. The displacement head starts at zero, so that the first iterate is the coarse mesh.
     """
     with torch.no_grad():
         for module in network.modules():

@@ -12,6 +12,7 @@ from .errors import OptionsInvalid
 PRESETS: Mapping[str, Callable[[], RefineConfig]] = {
     "paper": RefineConfig.paper,
     "default": RefineConfig,
+    "fast": RefineConfig.fast,
 }
 MAX_ITERATIONS = 10_000
 

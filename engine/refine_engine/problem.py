@@ -1,7 +1,8 @@
-"""What is fixed during a run: the mesh in its normalised frame, the views as square targets, the mirror plane."""
+"""What is fixed during a run: the normalised frame, the views as square targets, the symmetry views."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -9,9 +10,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from . import symmetry
-from .cameras import reflect, stack
+from .cameras import project, reflect, stack
 from .config import RefineConfig
+from .errors import CameraInvalid
 from .scene import Camera, Mesh, View
+from .silhouette import optical_depth
 
 
 @dataclass(frozen=True)
@@ -20,36 +23,33 @@ class Frame:
 
     centre: Tensor  # (3,) world
     scale: float  # longest side of the bounding box, world units
+    normal: Tensor  # (3,) unit normal of the mirror plane
 
     @staticmethod
     def of(mesh: Mesh, config: RefineConfig) -> Frame:
         used = mesh.vertices[mesh.faces.unique()]
         low, high = used.amin(0), used.amax(0)
-        normal = unit_normal(config, used)
+        normal = F.normalize(used.new_tensor(config.symmetry_normal), dim=0)
         offset = config.symmetry_offset
         if offset is None:
             offset = symmetry.least_mirrored_offset(mesh, normal)
         middle = (low + high) / 2
-        return Frame(middle + (offset - middle @ normal) * normal, float((high - low).max()))
+        return Frame(middle + (offset - middle @ normal) * normal, float((high - low).max()), normal)
 
     def normalise(self, vertices: Tensor) -> Tensor:
         return (vertices - self.centre) / self.scale
 
     def camera(self, world_to_camera: Tensor) -> Tensor:
         """The camera moved along: (4, 4) whose unit of length is `scale`."""
-        moved = world_to_camera.clone()
-        rotation, translation = world_to_camera[:3, :3], world_to_camera[:3, 3]
-        moved[:3, 3] = (rotation @ self.centre.to(rotation) + translation) / self.scale
+        moved = world_to_camera.to(self.centre)
+        moved = moved.clone()
+        moved[:3, 3] = (moved[:3, :3] @ self.centre + moved[:3, 3]) / self.scale
         return moved
-
-
-def unit_normal(config: RefineConfig, like: Tensor) -> Tensor:
-    return F.normalize(torch.tensor(config.symmetry_normal, dtype=like.dtype, device=like.device), dim=0)
 
 
 @dataclass(frozen=True)
 class Target:
-    """The input views as square images of one size, the whole image padded to a square."""
+    """The input views as square images of one size, each whole image padded to a square."""
 
     silhouette: Tensor  # (B, N, N) coverage in [0, 1]
     known: Tensor  # (B, N, N) 1 inside the input image, 0 in the padding
@@ -58,7 +58,7 @@ class Target:
     orthographic: bool
 
     @staticmethod
-    def of(views: list[View], frame: Frame, side: int) -> Target:
+    def of(views: Sequence[View], frame: Frame, side: int) -> Target:
         images, known, intrinsics = [], [], []
         for view in views:
             camera = view.camera
@@ -67,19 +67,37 @@ class Target:
             pad = (left, longest - camera.width - left, top, longest - camera.height - top)
             images.append(resize(F.pad(view.silhouette, pad), side))
             known.append(resize(F.pad(torch.ones_like(view.silhouette), pad), side))
-            unit = frame.scale if camera.projection == "orthographic" else 1.0
-            scale = side / longest
-            intrinsics.append(
-                [camera.fx * unit * scale, camera.fy * unit * scale,
-                 (camera.cx + left) * scale, (camera.cy + top) * scale]
-            )
-        device = views[0].silhouette.device
-        matrices = torch.stack([frame.camera(v.camera.world_to_camera.float().to(device)) for v in views])
+            zoom = side / longest
+            unit = zoom * (frame.scale if camera.projection == "orthographic" else 1.0)
+            centre = (camera.cx + left) * zoom, (camera.cy + top) * zoom
+            intrinsics.append([camera.fx * unit, camera.fy * unit, *centre])
         return Target(
-            torch.stack(images), torch.stack(known), matrices,
-            torch.tensor(intrinsics, dtype=torch.float32, device=device),
-            views[0].camera.projection == "orthographic",
+            torch.stack(images),
+            torch.stack(known),
+            torch.stack([frame.camera(view.camera.world_to_camera) for view in views]),
+            frame.centre.new_tensor(intrinsics),
+            _one_projection(views) == "orthographic",
         )
+
+    @property
+    def side(self) -> int:
+        """N, pixels."""
+        return self.silhouette.shape[1]
+
+    def project(self, vertices: Tensor) -> Tensor:
+        """Screen coordinates (B, V, 3) of normalised vertices (V, 3)."""
+        return project(vertices, self.world_to_camera, self.intrinsics, self.orthographic)
+
+    def optical_depth(self, vertices: Tensor, faces: Tensor, softness: float) -> Tensor:
+        """(B, N, N), see `silhouette`."""
+        return optical_depth(self.project(vertices), faces, self.side, softness)
+
+
+def _one_projection(views: Sequence[View]) -> str:
+    kinds = sorted({view.camera.projection for view in views})
+    if len(kinds) != 1:
+        raise CameraInvalid(f"expected all views of one run to have one kind of projection, got {kinds}")
+    return kinds[0]
 
 
 def resize(image: Tensor, side: int) -> Tensor:
@@ -87,32 +105,33 @@ def resize(image: Tensor, side: int) -> Tensor:
     if len(image) == side:
         return image
     if len(image) > side:
-        return F.adaptive_avg_pool2d(image[None, None], side)[0, 0]
+        return F.interpolate(image[None, None], (side, side), mode="area")[0, 0]
     return F.interpolate(image[None, None], (side, side), mode="bilinear", align_corners=False)[0, 0]
 
 
-def symmetry_views(config: RefineConfig, side: int, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Cameras p (m, 4, 4), their reflections T p (m, 4, 4) and intrinsics (m, 4), normalised frame.
+@dataclass(frozen=True)
+class SymmetryViews:
+    """The m view pairs of the image symmetry loss: cameras p, then their reflections T p; normalised frame.
 
-    The rig is the paper's for the normal +Z, turned with the plane for any other normal.
+    The rig is the paper's for the mirror normal +Z, turned with the plane for any other normal.
     """
-    cameras = [
-        Camera.look_at(a, e, config.symmetry_distance, config.symmetry_fov_degrees, side, side)
-        for a in config.symmetry_azimuths_degrees
-        for e in config.symmetry_elevations_degrees
-    ]
-    matrices, intrinsics = stack(cameras, device)
-    normal = unit_normal(config, matrices)
-    turned = matrices.clone()
-    turned[:, :3, :3] = matrices[:, :3, :3] @ rotation_from_z(normal).T
-    return turned, reflect(turned, normal), intrinsics
 
+    world_to_camera: Tensor  # (2m, 4, 4)
+    intrinsics: Tensor  # (2m, 4)
 
-def rotation_from_z(normal: Tensor) -> Tensor:
-    """The smallest rotation that takes +Z to the unit normal: (3,) -> (3, 3). For -Z the identity."""
-    x, y, z = normal.tolist()
-    if z < -1 + 1e-6:
-        return torch.eye(3, dtype=normal.dtype, device=normal.device)
-    k = 1 / (1 + z)
-    rows = [[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]]
-    return torch.tensor(rows, dtype=normal.dtype, device=normal.device)
+    @staticmethod
+    def of(config: RefineConfig, side: int, normal: Tensor) -> SymmetryViews:
+        cameras = [
+            Camera.look_at(
+                azimuth, elevation, config.symmetry_distance, config.symmetry_fov_degrees, side, side
+            )
+            for azimuth in config.symmetry_azimuths_degrees
+            for elevation in config.symmetry_elevations_degrees
+        ]
+        matrices, intrinsics = stack(cameras, normal.device)
+        matrices[:, :3, :3] = matrices[:, :3, :3] @ symmetry.rotation_from_z(normal).T
+        return SymmetryViews(torch.cat([matrices, reflect(matrices, normal)]), intrinsics.repeat(2, 1))
+
+    def project(self, vertices: Tensor) -> Tensor:
+        """Screen coordinates (2m, V, 3) of normalised vertices (V, 3)."""
+        return project(vertices, self.world_to_camera, self.intrinsics)

@@ -69,7 +69,9 @@ class Camera:
         if m.shape != (4, 4) or not torch.isfinite(m).all():
             raise CameraInvalid(f"expected a finite 4x4 world_to_camera, got shape {tuple(m.shape)}")
         rotation = m[:3, :3].double()
-        error = float((rotation @ rotation.T - torch.eye(3, dtype=torch.float64, device=m.device)).abs().max())
+        error = float(
+            (rotation @ rotation.T - torch.eye(3, dtype=torch.float64, device=m.device)).abs().max()
+        )
         if error > 1e-3:
             raise CameraInvalid(
                 f"expected an orthonormal rotation in world_to_camera, got one that is off by {error:.3g} "
@@ -77,10 +79,12 @@ class Camera:
             )
         if float(torch.linalg.det(rotation)) < 0.0:
             raise CameraInvalid(
-                "expected a right-handed world_to_camera (determinant +1), got a mirrored one (determinant -1)"
+                "expected a right-handed world_to_camera (determinant +1), got a mirrored one (-1)"
             )
         if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx + self.fy + self.cx + self.cy)):
-            raise CameraInvalid(f"expected finite intrinsics with positive fx, fy, got fx={self.fx} fy={self.fy}")
+            raise CameraInvalid(
+                f"expected finite intrinsics with positive fx, fy, got fx={self.fx} fy={self.fy}"
+            )
         if self.width < 1 or self.height < 1:
             raise CameraInvalid(f"expected a positive image size, got {self.width}x{self.height}")
 
@@ -124,13 +128,16 @@ class View:
             raise SilhouetteInvalid(f"expected a silhouette (H, W) float32, got {tuple(s.shape)} {s.dtype}")
         if tuple(s.shape) != (c.height, c.width):
             raise SilhouetteInvalid(
-                f"expected a silhouette of the camera's size {c.width}x{c.height}, got {s.shape[1]}x{s.shape[0]}"
+                f"expected a silhouette of the camera's size {c.width}x{c.height}, "
+                f"got {s.shape[1]}x{s.shape[0]}"
             )
         covered = float((s > 0.5).float().mean())
         if covered == 0.0:
             raise SilhouetteInvalid("expected an object in the silhouette, got no pixel above the threshold")
         if covered == 1.0:
-            raise SilhouetteInvalid("expected background around the object, got a silhouette that is all object")
+            raise SilhouetteInvalid(
+                "expected background around the object, got a silhouette that is all object"
+            )
 
 
 @dataclass(frozen=True)
@@ -140,7 +147,7 @@ class Progress:
     iteration: int  # 1 ... total
     total: int
     losses: Mapping[str, float]  # weighted terms by name, and "total"
-    silhouette_iou: float  # of the current iterate: soft silhouette above one half against the input, 2D IoU
+    silhouette_iou: float  # 2D IoU of the current iterate, from its soft silhouette at one half
 
 
 @dataclass(frozen=True)
@@ -154,5 +161,6 @@ class Result:
     loss_curve: Mapping[str, Sequence[float]]  # weighted terms and "total" per iteration
     silhouette_iou_before: float  # hard render of the coarse mesh against the input silhouette
     silhouette_iou_after: float
+    symmetry_offset: float  # of the mirror plane that was used along its normal, world units
     seconds: float
     warnings: tuple[str, ...] = ()

@@ -54,7 +54,7 @@ class Topology:
 
 
 class _NeighbourSum(torch.autograd.Function):
-    """The adjacency matrix is symmetric, so the gradient is the same sum: a gather both ways, never a scatter."""
+    """The adjacency matrix is symmetric, so the gradient is the same sum: a gather, never a scatter."""
 
     @staticmethod
     def forward(ctx: object, x: Tensor, topology: Topology) -> Tensor:
@@ -71,3 +71,8 @@ def neighbour_sum(x: Tensor, topology: Topology) -> Tensor:
     """sum over the neighbours u of v of x_u: (V, C) -> (V, C)."""
     result: Tensor = _NeighbourSum.apply(x, topology)
     return result
+
+
+def neighbour_mean(x: Tensor, topology: Topology) -> Tensor:
+    """Mean over the neighbours of v, zero for a vertex without any: (V, C) -> (V, C)."""
+    return neighbour_sum(x, topology) / topology.degree

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from .. import losses
 from . import cpu, oracle
 from .fragments import Fragments, interpolate
 
-__all__ = ["Fragments", "interpolate", "optical_depth", "rasterize"]
+__all__ = ["Fragments", "image_symmetry", "interpolate", "optical_depth", "rasterize"]
 
 
 def optical_depth(
@@ -35,3 +36,18 @@ def rasterize(
     if screen.device.type == "cpu":
         return cpu.rasterize(screen, faces, size)
     return oracle.rasterize(screen, faces, size)
+
+
+def image_symmetry(
+    seen: Tensor,  # (m, N, N) optical depth at the cameras p
+    mirrored: Tensor,  # (m, N, N) optical depth at the reflected cameras T p
+    visible: Fragments,  # at T p
+    faces: Tensor,  # (F, 3) int64
+    confidence: Tensor,  # (V,)
+    cost: float,  # lambda_B
+) -> Tensor:
+    """`losses.image_symmetry` with the confidence of the visible faces; a scalar, differentiable."""
+    if seen.device.type == "cpu":
+        return cpu.image_symmetry(seen, mirrored, visible, faces, confidence, cost)
+    covered = (visible.face >= 0).to(seen.dtype)
+    return losses.image_symmetry(seen, mirrored, interpolate(visible, faces, confidence), covered, cost)

@@ -60,7 +60,9 @@ class _OpticalDepth(torch.autograd.Function):
 
         def one(i: int) -> None:
             kernels.next_nonzero(padded[i, :, :side], following[i])
-            kernels.optical_depth_backward(ctx.points[i], ctx.corners, *ctx.args, padded[i], following[i], out[i])
+            kernels.optical_depth_backward(
+                ctx.points[i], ctx.corners, *ctx.args, padded[i], following[i], out[i]
+            )
 
         _each_view(views, one)
         return torch.from_numpy(out), None, None, None
@@ -68,7 +70,8 @@ class _OpticalDepth(torch.autograd.Function):
 
 def optical_depth(screen: Tensor, faces: Tensor, side: int, softness: float) -> Tensor:
     """S (B, side, side) by the specification in `oracle`, differentiable."""
-    return _OpticalDepth.apply(screen, faces, side, softness)
+    result: Tensor = _OpticalDepth.apply(screen, faces, side, softness)
+    return result
 
 
 def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments:
@@ -87,18 +90,37 @@ class _ImageSymmetry(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, seen: Tensor, mirrored: Tensor, fragments: Fragments, faces: Tensor, confidence: Tensor, cost: float
+        ctx: Any,
+        seen: Tensor,
+        mirrored: Tensor,
+        fragments: Fragments,
+        faces: Tensor,
+        confidence: Tensor,
+        cost: float,
     ) -> Tensor:
         views = len(seen)
         s, m, sigma = seen.detach().numpy(), mirrored.detach().numpy(), confidence.detach().numpy()
-        face, weight, corners = fragments.face.numpy(), fragments.barycentric.numpy(), faces.to(torch.int32).numpy()
+        face, weight, corners = (
+            fragments.face.numpy(),
+            fragments.barycentric.numpy(),
+            faces.to(torch.int32).numpy(),
+        )
         d_seen, d_mirrored = np.empty(s.shape, np.float32), np.empty(s.shape, np.float32)
         d_sigma = np.zeros((views, len(sigma)), np.float32)
         total = np.zeros(views)
 
         def one(i: int) -> None:
             total[i] = kernels.image_symmetry(
-                s[i], m[i], face[i], weight[i], corners, sigma, np.float32(cost), d_seen[i], d_mirrored[i], d_sigma[i]
+                s[i],
+                m[i],
+                face[i],
+                weight[i],
+                corners,
+                sigma,
+                np.float32(cost),
+                d_seen[i],
+                d_mirrored[i],
+                d_sigma[i],
             )
 
         _each_view(views, one)

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from .oracle import CUTOFF, NEAR
 
 f32 = np.float32
+Floats = NDArray[np.float32]
+Ints = NDArray[np.int32]
 LANES = 16
 ZERO, HALF, ONE, TWO, HUGE = f32(0), f32(0.5), f32(1), f32(2), f32(3e38)
 CUT = f32(CUTOFF)
@@ -51,7 +53,7 @@ def log1p_unit(t: f32) -> f32:
 
 
 @jit
-def optical_depth(screen, faces, softness_px, radius, image):
+def optical_depth(screen: Floats, faces: Ints, softness_px: f32, radius: f32, image: Floats) -> None:
     """Adds softplus(x_f(p)) of every face to `image` (H, W + LANES). screen (V, 3), faces (F, 3)."""
     height, width = image.shape[0], image.shape[1] - LANES
     scale = ONE / softness_px
@@ -59,7 +61,14 @@ def optical_depth(screen, faces, softness_px, radius, image):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         if min(screen[a, 2], screen[b, 2], screen[c, 2]) <= NEAREST_DEPTH:
             continue
-        ax, ay, bx, by, cx, cy = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
+        ax, ay, bx, by, cx, cy = (
+            screen[a, 0],
+            screen[a, 1],
+            screen[b, 0],
+            screen[b, 1],
+            screen[c, 0],
+            screen[c, 1],
+        )
         x0 = max(0, math.floor(min(ax, bx, cx) - radius))
         x1 = min(width - 1, math.floor(max(ax, bx, cx) + radius))
         y0 = max(0, math.floor(min(ay, by, cy) - radius))
@@ -94,7 +103,7 @@ def optical_depth(screen, faces, softness_px, radius, image):
 
 
 @jit
-def next_nonzero(grad, following):
+def next_nonzero(grad: Floats, following: Ints) -> None:
     """following[y, x] = the first column >= x with a gradient worth following, or W. grad (H, W)."""
     height, width = grad.shape
     largest = ZERO
@@ -112,7 +121,9 @@ def next_nonzero(grad, following):
 
 
 @jit
-def optical_depth_backward(screen, faces, softness_px, radius, grad, following, out):
+def optical_depth_backward(
+    screen: Floats, faces: Ints, softness_px: f32, radius: f32, grad: Floats, following: Ints, out: Floats
+) -> None:
     """Adds dL/d(x, y) of every vertex to `out` (V, 2), from grad = dL/dS (H, W + LANES)."""
     height, width = grad.shape[0], grad.shape[1] - LANES
     scale = ONE / softness_px
@@ -120,7 +131,14 @@ def optical_depth_backward(screen, faces, softness_px, radius, grad, following, 
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         if min(screen[a, 2], screen[b, 2], screen[c, 2]) <= NEAREST_DEPTH:
             continue
-        ax, ay, bx, by, cx, cy = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
+        ax, ay, bx, by, cx, cy = (
+            screen[a, 0],
+            screen[a, 1],
+            screen[b, 0],
+            screen[b, 1],
+            screen[c, 0],
+            screen[c, 1],
+        )
         x0 = max(0, math.floor(min(ax, bx, cx) - radius))
         x1 = min(width - 1, math.floor(max(ax, bx, cx) + radius))
         y0 = max(0, math.floor(min(ay, by, cy) - radius))
@@ -191,7 +209,9 @@ def optical_depth_backward(screen, faces, softness_px, radius, grad, following, 
 
 
 @jit
-def rasterize(screen, faces, depth, face_image, weight_image):
+def rasterize(
+    screen: Floats, faces: Ints, depth: Floats, face_image: NDArray[np.int64], weight_image: Floats
+) -> None:
     """Z-buffer of one view: writes depth (H, W), face index and perspective-correct weights (H, W, 3)."""
     height, width = face_image.shape
     depth[:] = HUGE
@@ -202,7 +222,14 @@ def rasterize(screen, faces, depth, face_image, weight_image):
         az, bz, cz = screen[a, 2], screen[b, 2], screen[c, 2]
         if min(az, bz, cz) <= NEAREST_DEPTH:
             continue
-        ax, ay, bx, by, cx, cy = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
+        ax, ay, bx, by, cx, cy = (
+            screen[a, 0],
+            screen[a, 1],
+            screen[b, 0],
+            screen[b, 1],
+            screen[c, 0],
+            screen[c, 1],
+        )
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if abs(area) <= TINY:
             continue
@@ -231,7 +258,18 @@ def rasterize(screen, faces, depth, face_image, weight_image):
 
 
 @jit
-def image_symmetry(seen, mirrored, face_image, weight_image, faces, confidence, cost, d_seen, d_mirrored, d_confidence):
+def image_symmetry(
+    seen: Floats,
+    mirrored: Floats,
+    face_image: NDArray[np.int64],
+    weight_image: Floats,
+    faces: Ints,
+    confidence: Floats,
+    cost: f32,
+    d_seen: Floats,
+    d_mirrored: Floats,
+    d_confidence: Floats,
+) -> float:
     """Sum over the covered pixels of one view pair of sigma (flip(alpha) - alpha')^2 + cost ln(1 / sigma).
 
     Writes its derivatives with respect to both optical depths (H, W) and adds those of the confidence (V,).

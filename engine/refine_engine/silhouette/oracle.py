@@ -9,8 +9,8 @@ triangle's outline in pixels, and
 
 which is the soft silhouette of Liu et al. 2019 (Soft Rasterizer): its product over faces, carried as a sum
 that needs no order and no list of the K nearest faces, and never saturates. A face is left out of a pixel
-where sigmoid(x) falls below 1e-4, and of the image when one of its vertices is nearer to the camera plane than
-NEAR. A triangle without area is its outline: it has no inside.
+where sigmoid(x) falls below 1e-4, and of the image when one of its vertices is nearer to the camera plane
+than NEAR. A triangle without area is its outline: it has no inside.
 """
 
 from __future__ import annotations
@@ -88,8 +88,10 @@ def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments
             triangles = points[faces[index]]  # (C, 3, 3)
             w = torch.stack(
                 [
-                    cross(triangles[:, None, (i + 2) % 3, :2] - triangles[:, None, (i + 1) % 3, :2],
-                          p[None] - triangles[:, None, (i + 1) % 3, :2])
+                    cross(
+                        triangles[:, None, (i + 2) % 3, :2] - triangles[:, None, (i + 1) % 3, :2],
+                        p[None] - triangles[:, None, (i + 1) % 3, :2],
+                    )
                     for i in range(3)
                 ],
                 -1,

@@ -32,7 +32,7 @@ def artifacts(textured: bytes) -> dict[str, Any]:
     confidence = (file.mesh.vertices[:, 0] > centre[0]).float()
     moved = refined.vertices - file.mesh.vertices
     curve = {"total": [2.0, 1.0]}
-    result = Result(refined, moved, confidence, 7, curve, 0.9, 0.8, 1.5, ("slow",))
+    result = Result(refined, moved, confidence, 7, curve, 0.9, 0.8, 0.0, 1.5, ("slow",))
     made: dict[str, Any] = dict(make_artifacts(file, view, result, RefineConfig()))
     return {"file": file, "view": view, "result": result} | made
 
