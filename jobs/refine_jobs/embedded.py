@@ -141,9 +141,10 @@ class EmbeddedRedis:
         }
         command = [find_server(), *(word for key, value in options.items() for word in (f"--{key}", value))]
         # Its own session: Ctrl-C reaches us, and we stop it last.
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True
-        )
+        with log_path.open("ab") as errors:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=errors, stderr=errors, start_new_session=True
+            )
         self._wait_until_ready(log_path)
 
     def _wait_until_ready(self, log_path: Path) -> None:

@@ -44,6 +44,7 @@ class EventFeed:
         self._find = find
         self._topics: dict[str, _Topic] = {}
         self._reader: asyncio.Task[None] | None = None
+        self._closed = False
 
     async def follow(self, job_id: str, after_sequence: int) -> AsyncIterator[Event]:
         """The events after a sequence number, those that were and those to come, to the completed one."""
@@ -75,18 +76,19 @@ class EventFeed:
 
     async def close(self) -> None:
         """Stop the reader; watchers get nothing more."""
+        self._closed = True  # redis-py may take a cancellation for the timeout of a read and go on
         if self._reader is not None:
             self._reader.cancel()
             with suppress(asyncio.CancelledError):
                 await self._reader
 
     async def _read_forever(self) -> None:
-        while True:
+        while not self._closed:
             try:
                 async with self._redis.pubsub(ignore_subscribe_messages=True) as bell:
                     await bell.subscribe(keys.DOORBELL)
                     await self._hand_out(list(self._topics))  # what rang while nobody listened
-                    while True:
+                    while not self._closed:
                         await self._hand_out(await self._rung(bell))
             except RedisError as error:
                 log.warning("event feed: %s; again in %s s", error, _RECONNECT_S)

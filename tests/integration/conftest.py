@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from redis import Redis
+
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_jobs.connection import connect, connect_async, connect_for_rq
@@ -102,5 +103,3 @@ class Jobs:
 @pytest.fixture
 def jobs(redis_url: str, redis: Redis, blobs: BlobStore, tmp_path: Path) -> Jobs:
     return Jobs(redis_url, redis, blobs, JobSettings(data_folder=tmp_path))
-
-

@@ -7,6 +7,7 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
+
 from refine_jobs import keys
 from refine_jobs.reaper import reap
 from refine_jobs.store import JobStore
