@@ -40,7 +40,10 @@ class BlobStore:
         if location.startswith("s3://"):
             self._store = S3Store.from_url(location, virtual_hosted_style_request=False)
         else:
-            self._store = LocalStore(location, mkdir=True, automatic_cleanup=True)
+            try:
+                self._store = LocalStore(location, mkdir=True, automatic_cleanup=True)
+            except OSError as error:
+                raise OSError(f"expected a folder for blobs at {location}, got: {error}") from error
 
     def put(self, name: str, data: bytes) -> Blob:
         """Store `data`."""
