@@ -113,5 +113,5 @@ def test_writable(blobs: BlobStore) -> None:
 
 def test_a_folder_that_cannot_be_made_says_so(tmp_path: Path) -> None:
     (tmp_path / "blobs").write_text("a file is in the way")
-    with pytest.raises(OSError, match="a folder for blobs at .*blobs"):
+    with pytest.raises(OSError, match=r"a folder for blobs at .*blobs"):
         BlobStore(str(tmp_path / "blobs"))
