@@ -1,0 +1,1 @@
+"""What service and worker share: settings, keys, blobs and the job store. No torch."""

@@ -1,0 +1,117 @@
+"""Immutable bytes by name, in a local folder or an S3-compatible bucket.
+
+A blob appears whole or not at all. obstore's synchronous calls do the work, in threads where the service
+needs them: its asynchronous ones (0.12) abort the interpreter when the process ends soon after.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import uuid
+from collections.abc import AsyncIterable, AsyncIterator, Iterator
+from dataclasses import dataclass
+
+import obstore
+from obstore.store import LocalStore, ObjectStore, S3Store
+
+CHUNK_BYTES = 64 * 1024
+# S3 takes parts of at least 5 MiB; one part at a time bounds the memory of an upload.
+PART_BYTES = 5 * 1024 * 1024
+
+
+@dataclass(frozen=True)
+class Blob:
+    """What is known of stored bytes."""
+
+    size_bytes: int
+    sha256: str
+
+
+class BlobNotFound(Exception):
+    """No blob of this name."""
+
+
+class BlobStore:
+    """Blobs below `location`: a folder, made if needed, or `s3://bucket/prefix`."""
+
+    def __init__(self, location: str) -> None:
+        self._store: ObjectStore
+        if location.startswith("s3://"):
+            self._store = S3Store.from_url(location, virtual_hosted_style_request=False)
+        else:
+            try:
+                self._store = LocalStore(location, mkdir=True, automatic_cleanup=True)
+            except OSError as error:
+                raise OSError(f"expected a folder for blobs at {location}, got: {error}") from error
+
+    def put(self, name: str, data: bytes) -> Blob:
+        """Store `data`."""
+        obstore.put(self._store, name, data, chunk_size=PART_BYTES, max_concurrency=1)
+        return Blob(len(data), hashlib.sha256(data).hexdigest())
+
+    async def put_stream(self, name: str, chunks: AsyncIterable[bytes]) -> Blob:
+        """Store the bytes of `chunks`; if the iterator raises, nothing is stored."""
+        digest, size = hashlib.sha256(), 0
+        pending = bytearray()
+        writer = None
+        async for chunk in chunks:
+            digest.update(chunk)
+            size += len(chunk)
+            pending += chunk
+            if len(pending) >= PART_BYTES:
+                writer = writer or obstore.open_writer(
+                    self._store, name, buffer_size=PART_BYTES, max_concurrency=1
+                )
+                await asyncio.to_thread(writer.write, bytes(pending))
+                pending.clear()
+        if writer is None:
+            await asyncio.to_thread(obstore.put, self._store, name, bytes(pending))
+        else:
+            await asyncio.to_thread(writer.write, bytes(pending))
+            await asyncio.to_thread(writer.close)
+        return Blob(size, digest.hexdigest())
+
+    def get(self, name: str) -> bytes:
+        """All bytes; raises BlobNotFound."""
+        try:
+            return bytes(obstore.get(self._store, name).bytes())
+        except FileNotFoundError:
+            raise BlobNotFound(name) from None
+
+    def size_bytes(self, name: str) -> int:
+        """Number of bytes; raises BlobNotFound."""
+        try:
+            return int(obstore.head(self._store, name)["size"])
+        except FileNotFoundError:
+            raise BlobNotFound(name) from None
+
+    async def stream(self, name: str, start: int = 0, stop: int | None = None) -> AsyncIterator[bytes]:
+        """Bytes from `start` to before `stop` (default: the end) in chunks; raises BlobNotFound first."""
+        chunks = await asyncio.to_thread(self._open, name, start, stop)
+        while (chunk := await asyncio.to_thread(next, chunks, None)) is not None:
+            yield bytes(chunk)
+
+    def _open(self, name: str, start: int, stop: int | None) -> Iterator[bytes]:
+        size = self.size_bytes(name)
+        stop = size if stop is None else min(stop, size)
+        if start >= stop:
+            return iter(())
+        result = obstore.get(self._store, name, options={"range": (start, stop)})
+        return iter(result.stream(min_chunk_size=CHUNK_BYTES))
+
+    def delete_folder(self, folder: str) -> int:
+        """Delete every blob below `folder`; how many there were. Safe to repeat."""
+        names = [found["path"] for batch in obstore.list(self._store, folder) for found in batch]
+        for name in names:
+            try:
+                obstore.delete(self._store, name)
+            except FileNotFoundError:
+                continue  # somebody else was faster
+        return len(names)
+
+    def check_writable(self) -> None:
+        """Write and delete a probe; raises whatever the store raises."""
+        probe = f"probe/{uuid.uuid4().hex}"  # its own name: other processes probe too
+        obstore.put(self._store, probe, b"probe")
+        obstore.delete(self._store, probe)

@@ -1,0 +1,82 @@
+"""Everything in Redis and in the blob store: every key, name and fixed lifetime, on this page.
+
+Lifetimes that an operator may choose are in settings.py. RQ has its own keys under `rq:`; nothing here
+touches them. All scripts take their time (milliseconds) from the Redis server, so that one clock rules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+JOB = "refine:job:"  # + id: hash, the record (record.py)
+EVENTS = "refine:events:"  # + id: stream of state, progress and completed events; entry ids are <sequence>-0
+OWNER = "refine:owner:"  # + owner: sorted set of ids by submission number, for lists
+IDEMPOTENCY = "refine:idempotency:"  # + owner + ":" + sha256 of the key: "<id> <fingerprint>"
+SUBMISSIONS = "refine:submissions"  # counter: the submission number
+QUEUED = "refine:queued"  # sorted set of queued ids by submission number: queue position, global bound
+QUEUED_BY_OWNER = "refine:queued-by-owner"  # hash owner -> queued jobs; changes together with QUEUED
+LEASES = "refine:leases"  # sorted set of running ids by the end of their lease
+EXPIRY = "refine:expiry"  # sorted set of ids by the time their data goes
+UPLOADS = "refine:uploads"  # sorted set of ids whose blobs are being written, by start
+TRASH = "refine:trash"  # set of ids whose blobs are to be deleted
+MISSING = "refine:missing"  # hash queued id -> when it was first not found in RQ
+METRICS = "refine:metrics"  # hash of counters and histograms written by lua/common.lua
+SLOT = "refine:slot:"  # + name: hash, what a worker slot is doing; expires SLOT_S after its last sign of life
+SLOTS = "refine:slots"  # sorted set of slot names by expiry
+PROBE = "refine:probe"  # written to see whether Redis takes writes
+DOORBELL = "refine:doorbell"  # channel: the id of a job that has a new event
+
+EVENTS_KEPT = 1024  # per job; more than a job at two events a second for the default of iterations
+SLOT_S = 15  # a slot shows up every few seconds
+UPLOAD_S = 3_600  # an upload that has not become a job by then is removed
+MISSING_S = 30  # RQ holds no id for this long between taking a job and starting it
+RQ_TIMEOUT_MARGIN_S = 120  # RQ's own timeout is the outermost guard, after ours
+RQ_RESULT_S = 60  # RQ's view of a finished job; the truth is ours
+RQ_FAILURE_S = 86_400  # RQ's default is a year of tracebacks
+BUCKETS_S = "0.05 0.1 0.25 0.5 1 2.5 5 10 30 60 120 300 600 1800 3600"  # bounds of the histograms
+
+MESH = "mesh"
+SILHOUETTE = "silhouette"
+
+
+def lua_constants() -> str:
+    """The keys and lifetimes above as Lua locals, so that the scripts use the names of this page."""
+    values = {name: value for name, value in globals().items() if isinstance(value, str | int)}
+    lines = (f"local {k} = {v!r}" for k, v in values.items() if k.isupper())
+    return "\n".join(lines) + "\n"
+
+
+def queue(pool: str) -> str:
+    """Name of the pool's one RQ queue. One, because RQ keeps a copy of a taken job only then (BLMOVE)."""
+    return f"refine-{pool}"
+
+
+def idempotency(owner: str, key_sha256: str) -> str:
+    """Key of a remembered idempotency key."""
+    return f"{IDEMPOTENCY}{owner}:{key_sha256}"
+
+
+def blob_folder(job_id: str) -> str:
+    """Folder of all blobs of a job."""
+    return f"jobs/{job_id}"
+
+
+def input_blob(job_id: str, part: str) -> str:
+    """Name of an uploaded file; `part` is MESH or SILHOUETTE."""
+    return f"jobs/{job_id}/input/{part}"
+
+
+def artifact_blob(job_id: str, attempt: int, name: str) -> str:
+    """Name of an artifact; one folder per attempt, so that a lost worker cannot overwrite its successor's."""
+    return f"jobs/{job_id}/artifacts/{attempt}/{name}"
+
+
+# name -> media type, in the order in which they are listed
+ARTIFACTS: Mapping[str, str] = {
+    "refined.glb": "model/gltf-binary",
+    "confidence.glb": "model/gltf-binary",
+    "confidence.png": "image/png",
+    "confidence.npz": "application/zip",
+    "preview.png": "image/png",
+    "report.json": "application/json",
+}

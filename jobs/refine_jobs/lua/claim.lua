@@ -1,0 +1,13 @@
+-- A worker starts a queued job. ARGV: id, slot, lease_ms. Returns the record, or nothing if it is not queued.
+local id, slot, lease_ms = unpack(ARGV)
+if field(id, 'state') ~= 'queued' then
+  return nil
+end
+if redis.call('HINCRBY', JOB .. id, 'attempt', 1) == 1 then
+  observe('queue_s', NOW - field(id, 'created_ms'))
+end
+leave_queue(id)
+redis.call('HSET', JOB .. id, 'slot', slot, 'started_ms', NOW)
+redis.call('ZADD', LEASES, NOW + lease_ms, id)
+set_state(id, 'running')
+return redis.call('HGETALL', JOB .. id)

@@ -1,0 +1,149 @@
+"""The record of a job: what the hash in Redis holds, and what of it the contract shows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict
+
+from refine_proto.models import (
+    Artifact,
+    Event,
+    ProblemDetails,
+    Progress,
+    Refinement,
+    RefinementSpec,
+    SilhouetteIou,
+    State,
+)
+
+from .blobs import Blob
+
+_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou")
+_TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
+
+
+class Submission(BaseModel):
+    """What the edge hands over once both files are in the blob store."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: str
+    owner: str
+    spec: RefinementSpec
+    mesh: Blob
+    silhouette: Blob
+    idempotency_key: str | None = None
+    request_id: str | None = None
+    traceparent: str | None = None
+
+
+class Job(BaseModel):
+    """A job, whole: the worker's view of a Refinement."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    id: str
+    owner: str
+    state: State
+    attempt: int
+    spec: RefinementSpec
+    mesh: Blob
+    silhouette: Blob
+    created_at: datetime
+    expires_at: datetime
+    started_at: datetime | None = None
+    finished_at: datetime | None = None
+    slot: str | None = None
+    progress: Progress | None = None
+    error: ProblemDetails | None = None
+    artifacts: tuple[Artifact, ...] = ()
+    silhouette_iou: SilhouetteIou | None = None
+    request_id: str | None = None
+    traceparent: str | None = None
+    sequence: int = 0  # of its last event
+
+    @classmethod
+    def decode(cls, fields: Mapping[str, str]) -> Self:
+        """From the fields of the hash."""
+        values: dict[str, Any] = dict(fields)
+        for name in _JSON:
+            if name in values:
+                values[name] = json.loads(values[name])
+        for name in _TIMES:
+            if name in values:
+                values[name.replace("_ms", "_at")] = instant(values[name])
+        return cls.model_validate(values)
+
+    @property
+    def timeout_s(self) -> float:
+        """Longest run of one attempt; submit has filled it in."""
+        timeout_s = self.spec.options.timeout_s
+        assert timeout_s is not None
+        return timeout_s
+
+    def refinement(self, queue_position: int | None = None) -> Refinement:
+        """What the contract shows; the edge adds URLs."""
+        return Refinement(
+            id=self.id,
+            state=self.state,
+            options=self.spec.options,
+            progress=self.progress,
+            error=self.error,
+            artifacts=list(self.artifacts),
+            created_at=self.created_at,
+            started_at=self.started_at,
+            finished_at=self.finished_at,
+            expires_at=self.expires_at,
+            queue_position=queue_position,
+            silhouette_iou=self.silhouette_iou,
+            attempt=self.attempt,
+        )
+
+
+def instant(milliseconds: str | int) -> datetime:
+    """Milliseconds since 1970 as a time in UTC."""
+    return datetime.fromtimestamp(int(milliseconds) / 1000, UTC)
+
+
+def encode(values: Mapping[str, Any]) -> list[str]:
+    """Field, value, ... of a hash; models and blobs as JSON, None left out."""
+    return [word for name, value in values.items() if value is not None for word in (name, _text(value))]
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else to_json(value)
+
+
+def to_json(value: Any) -> str:
+    """A model, a blob or a sequence of models as JSON."""
+    return json.dumps(value, default=_plain, separators=(",", ":"))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json", exclude_none=True)
+    return vars(value)
+
+
+def decode_event(entry: tuple[str, Mapping[str, str]]) -> Event:
+    """From an entry of the stream."""
+    sequence, fields = entry
+    progress = fields.get("progress")
+    return Event.model_validate(
+        {
+            "sequence": sequence.partition("-")[0],
+            "type": fields["type"],
+            "time": instant(fields["time"]),
+            "state": fields["state"],
+            "progress": json.loads(progress) if progress else None,
+        }
+    )
+
+
+def pairs(flat: Sequence[str]) -> dict[str, str]:
+    """What a script's HGETALL returns, as a dictionary."""
+    return dict(zip(flat[::2], flat[1::2], strict=True))

@@ -1,0 +1,27 @@
+"""What a worker slot says of itself, for readiness and metrics."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from pydantic import BaseModel, ConfigDict
+
+
+class SlotState(StrEnum):
+    """What a slot is doing."""
+
+    STARTING = "starting"
+    IDLE = "idle"
+    BUSY = "busy"
+    DRAINING = "draining"
+
+
+class SlotStatus(BaseModel):
+    """One worker slot: a process that refines one mesh at a time."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    device: str
+    state: SlotState
+    job_id: str | None = None

@@ -1,0 +1,194 @@
+"""WorkerStore: jobs as a worker slot and the reaper see them. Synchronous, safe to use from several threads.
+
+`attempt` of a claimed job is its fencing token: every write names it, and a worker whose lease ran out and
+whose job went on without it gets LeaseLost instead of overwriting anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from redis import Redis
+
+from refine_proto.errors import RefineError, WorkerLost
+from refine_proto.models import Artifact, Progress, SilhouetteIou, State
+
+from . import keys
+from .delivery import Delivery, delivery_id
+from .record import Job, encode, pairs, to_json
+from .scripts import script
+from .settings import JobSettings
+from .slots import SlotStatus
+
+
+class LeaseLost(Exception):
+    """The job went on without this worker: stop, and write nothing."""
+
+
+class WorkerStore:
+    """All that workers do with jobs."""
+
+    def __init__(self, redis: Redis, settings: JobSettings) -> None:
+        self._redis: Any = redis  # redis-py's types cannot say that it decodes responses
+        self._settings = settings
+        self._delivery = Delivery(settings.pool)
+        self._scripts = {
+            name: redis.register_script(script(name))
+            for name in ("claim", "renew", "finish", "give_back", "requeue", "expire")
+        }
+
+    # ---- a slot ----
+
+    def claim(self, job_id: str, slot: str) -> Job | None:
+        """Start the job, or None if it is not queued (any more): then do nothing."""
+        fields = self._run("claim", job_id, slot, self._lease_ms)
+        return Job.decode(pairs(fields)) if fields else None
+
+    def renew(self, job: Job) -> State:
+        """Keep the job for another lease_s; RUNNING, or CANCELLING when it shall stop. Raises LeaseLost."""
+        return self._held(job, self._run("renew", job.id, job.attempt, self._lease_ms, ""))
+
+    def report(self, job: Job, progress: Progress) -> State:
+        """As renew, with progress for the watchers."""
+        return self._held(job, self._run("renew", job.id, job.attempt, self._lease_ms, to_json(progress)))
+
+    def finish(self, job: Job, artifacts: Sequence[Artifact], silhouette_iou: SilhouetteIou) -> None:
+        """The job succeeded; its artifacts are in the blob store (keys.artifact_blob). Raises LeaseLost."""
+        fields = {"artifacts": list(artifacts), "silhouette_iou": silhouette_iou}
+        self._end(job, State.SUCCEEDED, "", encode(fields))
+
+    def fail(self, job: Job, error: RefineError) -> None:
+        """The job failed for good. Raises LeaseLost."""
+        problem = error.problem(request_id=job.request_id)
+        self._end(job, State.FAILED, error.reason, encode({"error": problem}))
+
+    def cancelled(self, job: Job) -> None:
+        """The job has stopped, as was asked for. Raises LeaseLost."""
+        self._end(job, State.CANCELLED, "", [])
+
+    def give_back(self, job: Job, why: str) -> State:
+        """The slot cannot go on: queue the job again, in front, or fail it if that was its last attempt.
+
+        Returns QUEUED, FAILED, or CANCELLED if it was to be cancelled. Raises LeaseLost.
+        """
+        return self._held(job, self._give_back(job, "now", why))
+
+    def show(self, slot: SlotStatus) -> None:
+        """Say that the slot is alive; call it at least every keys.SLOT_S / 3 seconds."""
+        seconds, _ = self._redis.time()
+        with self._redis.pipeline(transaction=True) as pipe:
+            pipe.set(keys.SLOT + slot.name, slot.model_dump_json(), ex=keys.SLOT_S)
+            pipe.zadd(keys.SLOTS, {slot.name: seconds + keys.SLOT_S})
+            pipe.zremrangebyscore(keys.SLOTS, "-inf", seconds)
+            pipe.execute()
+
+    def hide(self, slot_name: str) -> None:
+        """The slot ends."""
+        with self._redis.pipeline(transaction=True) as pipe:
+            pipe.delete(keys.SLOT + slot_name)
+            pipe.zrem(keys.SLOTS, slot_name)
+            pipe.execute()
+
+    # ---- the reaper (reaper.py) ----
+
+    def take_back_lost(self) -> list[tuple[str, State]]:
+        """Queue again, or fail, the running jobs whose lease ran out; (id, new state) of each."""
+        taken = []
+        for job in self._jobs(self._due(keys.LEASES)):
+            why = f"its worker slot {job.slot} stopped answering during attempt {job.attempt}"
+            state = self._give_back(job, "expired", why)
+            if state is not None:
+                taken.append((job.id, State(state)))
+        return taken
+
+    def requeue_missing(self) -> list[str]:
+        """Enqueue again the queued jobs that RQ has not known for keys.MISSING_S; their ids."""
+        known = set(self._redis.lrange(self._delivery.queue.key, 0, -1))
+        queued = self._redis.zrange(keys.QUEUED, 0, -1)
+        with self._redis.pipeline(transaction=False) as pipe:
+            for job_id in queued:
+                pipe.hget(keys.JOB + job_id, "attempt")
+            attempts = [int(attempt or 0) for attempt in pipe.execute()]
+        deliveries = [delivery_id(job_id, n + 1) for job_id, n in zip(queued, attempts, strict=True)]
+        missing = [job_id for job_id, d in zip(queued, deliveries, strict=True) if d not in known]
+        return [
+            job.id
+            for job in self._jobs(missing)
+            if self._run("requeue", job.id, job.attempt, *self._enqueue_in_front(job))
+        ]
+
+    def expire(self) -> list[str]:
+        """Turn jobs past their lifetime into tombstones and old uploads into trash; ids of the jobs."""
+        for upload in self._due(keys.UPLOADS, keys.UPLOAD_S):
+            with self._redis.pipeline(transaction=True) as pipe:
+                pipe.zrem(keys.UPLOADS, upload)
+                pipe.sadd(keys.TRASH, upload)
+                pipe.execute()
+        tombstone_ms = int(self._settings.tombstone_s * 1000)
+        return [
+            job.id
+            for job in self._jobs(self._due(keys.EXPIRY))
+            if self._run("expire", job.id, tombstone_ms, *self._delivery.withdraw(job.id, job.attempt + 1))
+        ]
+
+    def trash(self) -> set[str]:
+        """Ids of jobs whose blobs are to be deleted."""
+        return set(self._redis.smembers(keys.TRASH))
+
+    def trash_deleted(self, job_id: str) -> None:
+        """The blobs of the job are gone."""
+        self._redis.srem(keys.TRASH, job_id)
+
+    # ---- helpers ----
+
+    @property
+    def _lease_ms(self) -> int:
+        return int(self._settings.lease_s * 1000)
+
+    @property
+    def _retention_ms(self) -> int:
+        return int(self._settings.retention_s * 1000)
+
+    def _run(self, name: str, *args: Any) -> Any:
+        return self._scripts[name](args=args)
+
+    def _held(self, job: Job, state: str | None) -> State:
+        if state is None:
+            raise LeaseLost(f"job {job.id}: attempt {job.attempt} no longer holds it")
+        return State(state)
+
+    def _end(self, job: Job, state: State, reason: str, fields: list[str]) -> None:
+        done = self._run("finish", job.id, job.attempt, state, reason, self._retention_ms, *fields)
+        self._held(job, state if done else None)
+
+    def _give_back(self, job: Job, when: str, why: str) -> str | None:
+        attempts = self._settings.max_attempts
+        error = WorkerLost(f"{why}; that was attempt {job.attempt} of {attempts}")
+        state: str | None = self._run(
+            "give_back",
+            job.id,
+            job.attempt,
+            when,
+            attempts,
+            self._retention_ms,
+            to_json(error.problem(request_id=job.request_id)),
+            *self._enqueue_in_front(job),
+        )
+        return state
+
+    def _enqueue_in_front(self, job: Job) -> list[Any]:
+        return self._delivery.enqueue(job.id, job.attempt + 1, job.timeout_s, at_front=True)
+
+    def _due(self, key: str, age_s: int = 0) -> list[str]:
+        seconds, micros = self._redis.time()
+        due: list[str] = self._redis.zrange(
+            key, "-inf", (seconds - age_s) * 1000 + micros // 1000, byscore=True, offset=0, num=1000
+        )
+        return due
+
+    def _jobs(self, job_ids: Sequence[str]) -> Iterator[Job]:
+        for job_id in job_ids:
+            fields = self._redis.hgetall(keys.JOB + job_id)
+            if "spec" in fields:
+                yield Job.decode(fields)

@@ -1,0 +1,169 @@
+"""The embedded server, the demands on any server, and what happens when it is away."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from pydantic import ValidationError
+from redis import Redis
+
+from refine_jobs.connection import RedisUnfit, check_server, connect, connect_async
+from refine_jobs.embedded import EmbeddedRedis, EmbeddedRedisError, find_server
+from refine_jobs.health import Health
+from refine_jobs.settings import JobSettings
+from refine_jobs.slots import SlotState, SlotStatus
+from refine_jobs.store import JobStore
+from refine_proto.errors import Unavailable
+from refine_proto.models import Refinement
+
+if TYPE_CHECKING:
+    from .conftest import Jobs
+
+
+def test_data_survives_a_restart(tmp_path: Path) -> None:
+    with EmbeddedRedis(tmp_path) as server, connect(server.url) as client:
+        check_server(client)
+        client.set("kept", "yes")
+    with EmbeddedRedis(tmp_path) as server, connect(server.url) as client:
+        assert client.get("kept") == "yes"
+
+
+def test_one_process_per_folder(tmp_path: Path) -> None:
+    with (
+        EmbeddedRedis(tmp_path),
+        pytest.raises(EmbeddedRedisError, match="another process"),
+        EmbeddedRedis(tmp_path),
+    ):
+        pass
+
+
+PARENT = """
+import sys, time
+from pathlib import Path
+from redis import Redis
+from refine_jobs.embedded import EmbeddedRedis
+with EmbeddedRedis(Path(sys.argv[1])) as server:
+    client = Redis.from_url(server.url)
+    client.set("kept", "yes")
+    print(client.info()["process_id"], flush=True)
+    time.sleep(600)
+"""
+
+
+def test_the_server_of_a_killed_parent_is_replaced(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", PARENT, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout
+        orphan = int(parent.stdout.readline())
+        parent.kill()
+    os.kill(orphan, 0)  # still runs
+    with EmbeddedRedis(tmp_path) as server, connect(server.url) as client:
+        assert client.info()["process_id"] != orphan
+        assert client.get("kept") == "yes"
+        with pytest.raises(ProcessLookupError):
+            _wait_for_end(orphan)
+
+
+def _wait_for_end(pid: int) -> None:
+    for _ in range(200):
+        os.kill(pid, 0)
+        stat = Path(f"/proc/{pid}/stat")
+        if stat.exists() and stat.read_text().rsplit(")", 1)[1].split()[0] == "Z":
+            raise ProcessLookupError(pid)  # ended; nobody has reaped it in this container
+        time.sleep(0.05)
+
+
+def test_a_server_that_cannot_start_shows_its_log(tmp_path: Path) -> None:
+    (tmp_path / "appendonlydir").write_text("a file is in the way")
+    with (
+        pytest.raises(EmbeddedRedisError, match=r"(?s)log ends with:\n.*append-only dir"),
+        EmbeddedRedis(tmp_path),
+    ):
+        pass
+
+
+def test_an_evicting_server_is_refused(tmp_path: Path) -> None:
+    with EmbeddedRedis(tmp_path) as server, connect(server.url) as client:
+        client.config_set("maxmemory-policy", "allkeys-lru")
+        with pytest.raises(RedisUnfit, match="allkeys-lru"):
+            check_server(client)
+
+
+def test_ctrl_c_does_not_reach_the_server(redis: Redis) -> None:
+    assert os.getpgid(redis.info()["process_id"]) != os.getpgid(0)
+    assert Path(find_server()).name in ("valkey-server", "redis-server")
+
+
+def test_a_redis_that_is_away_is_unavailable(jobs: Jobs, tmp_path: Path) -> None:
+    async def scenario() -> None:
+        with EmbeddedRedis(tmp_path / "redis") as server:
+            client = connect_async(server.url)
+            store, health = JobStore(client, jobs.settings), Health(client)
+            job_id = (await _jobs_at(jobs, store)).id
+            os.kill(connect(server.url).info()["process_id"], signal.SIGKILL)
+            for call in (store.get("ann", job_id), store.begin_upload("ann"), health.check_writable()):
+                with pytest.raises(Unavailable) as caught:
+                    await call
+                assert caught.value.retry_after_s
+            await store.close()
+
+    asyncio.run(scenario())
+
+
+async def _jobs_at(jobs: Jobs, store: JobStore) -> Refinement:
+    return (await jobs.submit(store)).refinement
+
+
+def test_health_shows_slots_and_counts(jobs: Jobs) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            client = connect_async(jobs.url)
+            health = Health(client)
+            await health.check_writable()
+            assert await health.slots() == ()
+            slot = SlotStatus(name="slot-0", device="cpu", state=SlotState.IDLE)
+            jobs.worker.show(slot)
+            assert await health.slots() == (slot,)
+
+            done, failed, _ = [(await jobs.submit(store)).refinement.id for _ in range(3)]
+            first, second = jobs.worker.claim(done, "slot-0"), jobs.worker.claim(failed, "slot-0")
+            assert first
+            assert second
+            jobs.worker.cancelled(first)
+            jobs.worker.give_back(second, "it stops")
+            counts = await health.metrics()
+            assert (counts["queued"], counts["running"], counts["jobs:cancelled:"]) == (2, 0, 1)
+            buckets = [v for name, v in counts.items() if name.startswith("queue_s:") and "sum" not in name]
+            assert sum(buckets) == 2
+
+            jobs.worker.hide("slot-0")
+            assert await health.slots() == ()
+            await client.aclose()
+
+    asyncio.run(scenario())
+
+
+def test_settings_come_from_the_environment_and_keep_secrets() -> None:
+    settings = JobSettings.from_environment(
+        {
+            "REFINE_REDIS_URL": "redis://:s3cret@host/1",
+            "REFINE_MAX_QUEUED": "7",
+            "REFINE_BLOB_URL": "",
+            "HOME": "/",
+        }
+    )
+    assert settings.redis_url
+    assert settings.redis_url.get_secret_value() == "redis://:s3cret@host/1"
+    assert (settings.max_queued, settings.blob_url) == (7, None)
+    assert "s3cret" not in repr(settings)
+    with pytest.raises(ValidationError, match="lease_s"):
+        JobSettings.from_environment({"REFINE_LEASE_S": "soon"})
