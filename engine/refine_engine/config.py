@@ -65,7 +65,8 @@ class RefineConfig:
     proportions: ProportionFit | None = field(default_factory=ProportionFit)
     """The fit of the whole mesh before the network; None: no such step (paper)."""
     stages: tuple[Stage, ...] = (Stage(200, 224, 3e-5),)
-    weights: Weights = field(default_factory=Weights)
+    weights: Weights = field(default_factory=lambda: Weights(normal_consistency=3.0))
+    """The paper's, less the one that flattens: once the proportions are right, what is left to do is local."""
     confidence_cost: float = 0.0005
     """lambda_B: what it costs to call a place asymmetric."""
     learning_rate: float = 1.4e-4
@@ -103,6 +104,7 @@ class RefineConfig:
         """The published method, for comparison with the literature: plane through the world origin."""
         return RefineConfig(
             proportions=None,
+            weights=Weights(),
             stages=(Stage(400, 224, 1e-4),),
             learning_rate=7e-5,
             encoder_size=224,
