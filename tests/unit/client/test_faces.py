@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import pytest
 from faces import Face
 from server_double import ARTIFACTS, STEPS, Script
 
-from refine_client import ConnectionLost, RefineClient, RetryPolicy
+from refine_client import AsyncRefineClient, ConnectionLost, RefineClient, RetryPolicy
 from refine_proto import errors
 from refine_proto.errors import RefineError
 from refine_proto.models import EventType, FieldError, Progress, State
@@ -181,6 +183,20 @@ def test_watch_gives_up_without_an_event(face: Face, script: Script) -> None:
     assert caught.value.request_id == script.calls[-1].request_id
 
 
+def test_watch_moves_to_fresh_connections(
+    face: Face, script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("refine_client.follow.LONGEST_CONNECTION_S", 0.1)
+    script.hang = True
+    timer = threading.Timer(1.0, script.cancelled.set)
+    timer.start()
+    events = face.watch("job-1")
+    timer.join()
+    assert [event.sequence for event in events] == list(range(1, STEPS + 4))
+    assert events[-1].state is State.CANCELLED
+    assert len(script.seen("watch")) > 5  # more than the retries
+
+
 def test_watch_from_a_sequence_on(face: Face) -> None:
     assert [event.sequence for event in face.watch("job-1", after_sequence=7)] == [8, 9]
 
@@ -235,6 +251,26 @@ def test_an_interrupted_refine_cancels_its_job(
 
     with pytest.raises(RuntimeError, match="enough"):
         face.call("refine", mesh, silhouette, camera, tmp_path / "out", progress=stop)
+    assert script.cancelled.is_set()
+
+
+def test_a_cancelled_task_cancels_its_job(
+    server: str, script: Script, camera: Camera, tmp_path: Path
+) -> None:
+    script.hang = True
+
+    async def main() -> None:
+        async with AsyncRefineClient(server) as client:
+            running = asyncio.Event()
+            task = asyncio.create_task(
+                client.refine(b"mesh", b"png", camera, tmp_path, progress=lambda _: running.set())
+            )
+            await running.wait()
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+
+    asyncio.run(main())
     assert script.cancelled.is_set()
 
 
