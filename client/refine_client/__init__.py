@@ -1,1 +1,21 @@
-"""The SDK and the command `refine`."""
+"""The SDK: `RefineClient` and `AsyncRefineClient`, over REST or gRPC as the server's address says.
+
+    with RefineClient("http://127.0.0.1:8000") as client:
+        refined = client.refine("coarse.glb", "silhouette.png", camera, "out")
+
+Values are those of `refine_proto.models`, errors those of `refine_proto.errors`. `cli` is `refine`.
+"""
+
+from .aio import AsyncRefineClient
+from .client import RefineClient, Refined
+from .errors import ConnectionLost, DownloadCorrupt
+from .retry import RetryPolicy
+
+__all__ = [
+    "AsyncRefineClient",
+    "ConnectionLost",
+    "DownloadCorrupt",
+    "RefineClient",
+    "Refined",
+    "RetryPolicy",
+]

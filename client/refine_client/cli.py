@@ -34,6 +34,7 @@ COMMANDS = {
     "list": Command("list refinements"),
     "watch": Command("follow the progress of a refinement"),
     "cancel": Command("cancel a refinement"),
+    "delete": Command("remove a refinement and its files"),
     "download": Command("fetch the artifacts of a refinement"),
 }
 

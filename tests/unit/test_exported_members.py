@@ -6,7 +6,7 @@ from types import ModuleType
 import pytest
 
 
-@pytest.mark.parametrize("package", ["refine_engine"])
+@pytest.mark.parametrize("package", ["refine_client", "refine_engine"])
 def test_all_lists_what_the_package_imports(package: str) -> None:
     module = importlib.import_module(package)
     imported = [

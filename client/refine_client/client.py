@@ -1,0 +1,236 @@
+"""`RefineClient`: the service for programs with threads. `aio` has the same for asyncio."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from refine_proto.errors import Busy, NotFound, RefineError
+from refine_proto.models import (
+    Artifact,
+    CameraSpec,
+    Event,
+    MeshFormat,
+    Progress,
+    Refinement,
+    RefinementOptions,
+    RefinementPage,
+)
+
+from .connection import Connection
+from .errors import error_of
+from .follow import Follow
+from .partial_file import PartialFile, choose_artifacts
+from .retry import Retries, RetryPolicy
+from .transport import make_transport
+from .upload import Source, make_upload
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Refined:
+    """What `refine` returns: the succeeded refinement, and its artifacts on disk by name."""
+
+    refinement: Refinement
+    files: Mapping[str, Path]
+
+
+class RefineClient:
+    """Refines meshes through a server. Safe to share between threads; close it, or use it in a `with`.
+
+    Every method raises the errors of `refine_proto.errors`: the server's own, with its `reason`, `request_id`
+    and, in `errors`, pointers to fields; ConnectionLost where there was no answer. `Busy` ones are retried.
+    """
+
+    def __init__(
+        self,
+        server: str | None = None,
+        *,
+        api_key: str | None = None,
+        timeout_s: float = 30.0,
+        retry: RetryPolicy | None = None,
+    ) -> None:
+        """Nothing is sent yet.
+
+        Args:
+            server: http://host:8000 or https://host for REST, grpc://host:50051 or grpcs://host:443 for gRPC
+                (the s: over TLS). Default: REFINE_SERVER, else http://127.0.0.1:8000.
+            api_key: Default: REFINE_API_KEY, else none.
+            timeout_s: For an answer. Transfers may take longer while bytes flow.
+            retry: How often and how soon to try again.
+        """
+        self._connection = Connection.from_arguments(server, api_key, timeout_s)
+        self._policy = retry or RetryPolicy()
+        self._transport = make_transport(self._connection)
+
+    def submit(
+        self,
+        mesh: Source,
+        silhouette: Source,
+        camera: CameraSpec | Mapping[str, Any],
+        options: RefinementOptions | Mapping[str, Any] | None = None,
+        *,
+        mesh_format: MeshFormat | str | None = None,
+        idempotency_key: str | None = None,
+    ) -> Refinement:
+        """Send a refinement and return it as soon as it is queued.
+
+        Args:
+            mesh: Path or content of a GLB, glTF, OBJ, PLY, STL or OFF file.
+            silhouette: Path or content of a PNG: alpha, or white on black.
+            camera: The camera of the silhouette: a LookAtCamera, a MatrixCamera or the same as a mapping.
+            options: RefinementOptions or a mapping; what is left out has its default.
+            mesh_format: Default: the suffix of the path, else the server recognises the content.
+            idempotency_key: Sending the same key and content again gives the first refinement again. Default:
+                a new one, which the retries of this call share.
+
+        Raises:
+            OSError: A file cannot be read.
+        """
+        upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key)
+        return self._retried(lambda: self._transport.create(upload))
+
+    def get(self, refinement_id: str) -> Refinement:
+        """The refinement as it is now."""
+        return self._retried(lambda: self._transport.get(refinement_id))
+
+    def list(self, *, limit: int | None = None, cursor: str | None = None) -> RefinementPage:
+        """A page of the caller's refinements, newest first; pass its `next_cursor` for the next page."""
+        return self._retried(lambda: self._transport.list(limit, cursor))
+
+    def cancel(self, refinement_id: str) -> Refinement:
+        """Cancel a queued refinement at once, a running one soon (`cancelling`); a terminal one stays."""
+        return self._retried(lambda: self._transport.cancel(refinement_id))
+
+    def delete(self, refinement_id: str) -> None:
+        """Remove the record and all bytes; Conflict while it is running."""
+        retries = Retries(self._policy)
+        while True:
+            try:
+                return self._transport.delete(refinement_id)
+            except Busy as error:
+                time.sleep(retries.delay_s(error))
+            except NotFound:
+                if retries.count == 0:
+                    raise
+                return None  # the try before did it, and only its answer was lost
+
+    def watch(
+        self, refinement_id: str, *, after_sequence: int = 0, timeout_s: float | None = None
+    ) -> Iterator[Event]:
+        """Every event once, in order, up to `completed`, over as many connections as it takes.
+
+        Args:
+            refinement_id: Which one.
+            after_sequence: Begin after this event; 0 begins with the first.
+            timeout_s: TimeoutError after this long. Default: none.
+        """
+        follow = Follow(refinement_id, after_sequence, timeout_s, self._policy)
+        while not follow.done:
+            longest_s = follow.longest_s()
+            try:
+                with closing(self._transport.events(refinement_id, follow.sequence, longest_s)) as events:
+                    yield from filter(follow.accept, events)
+            except Busy as error:
+                time.sleep(follow.delay_s(error))
+
+    def wait(self, refinement_id: str, *, timeout_s: float | None = None) -> Refinement:
+        """The refinement in its terminal state, whichever it is; TimeoutError if that takes too long."""
+        for event in self.watch(refinement_id, timeout_s=timeout_s):
+            if event.refinement is not None:
+                return event.refinement
+        return self.get(refinement_id)
+
+    def download(
+        self, refinement_id: str, directory: str | os.PathLike[str], names: Iterable[str] | None = None
+    ) -> dict[str, Path]:
+        """Fetch the artifacts of these names, or all, into `directory`; their paths by name.
+
+        Each file is checked against its SHA-256 and appears whole or not at all. An interrupted download
+        continues where it stopped, also in a later call.
+        """
+        artifacts = choose_artifacts(self.get(refinement_id), names)
+        folder = Path(directory)
+        folder.mkdir(parents=True, exist_ok=True)
+        return {artifact.name: self._fetch(refinement_id, artifact, folder) for artifact in artifacts}
+
+    def refine(
+        self,
+        mesh: Source,
+        silhouette: Source,
+        camera: CameraSpec | Mapping[str, Any],
+        directory: str | os.PathLike[str],
+        options: RefinementOptions | Mapping[str, Any] | None = None,
+        *,
+        mesh_format: MeshFormat | str | None = None,
+        progress: Callable[[Progress], None] | None = None,
+    ) -> Refined:
+        """Submit, follow and download in one call; if that is interrupted, the refinement is cancelled.
+
+        Args:
+            mesh, silhouette, camera, options, mesh_format: As for `submit`.
+            directory: Where the artifacts go.
+            progress: Called with every Progress, at most about twice a second.
+
+        Raises:
+            JobFailed: The refinement did not succeed, and why; also InvalidInput, found by the worker.
+        """
+        Path(directory).mkdir(parents=True, exist_ok=True)
+        refinement = self.submit(mesh, silhouette, camera, options, mesh_format=mesh_format)
+        try:
+            for event in self.watch(refinement.id):
+                if event.progress is not None and progress is not None:
+                    progress(event.progress)
+                refinement = event.refinement or refinement
+        except BaseException:
+            with suppress(RefineError):
+                self._transport.cancel(refinement.id)
+            raise
+        if error := error_of(refinement):
+            raise error
+        return Refined(refinement, self.download(refinement.id, directory))
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._connection.server!r})"
+
+    def _retried(self, attempt: Callable[[], T]) -> T:
+        retries = Retries(self._policy)
+        while True:
+            try:
+                return attempt()
+            except Busy as error:
+                time.sleep(retries.delay_s(error))
+
+    def _fetch(self, refinement_id: str, artifact: Artifact, directory: Path) -> Path:
+        retries = Retries(self._policy)
+        with PartialFile(artifact, directory) as file:
+            while True:
+                try:
+                    if not file.complete:
+                        with closing(
+                            self._transport.download(refinement_id, artifact, file.offset)
+                        ) as chunks:
+                            for chunk in chunks:
+                                file.write(chunk)
+                    return file.finish()
+                except Busy as error:
+                    time.sleep(retries.delay_s(error))

@@ -1,0 +1,78 @@
+"""What the commands share: the parser, the connection, and how an error ends a command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import NoReturn
+
+from refine_proto.errors import InvalidInput, RefineError, Refused
+
+from ..client import RefineClient
+from ..connection import DEFAULT_SERVER
+
+FAILED = 1
+BAD_INPUT = 2
+SERVER_HELP = f"""\
+server
+  --server URL, else the variable REFINE_SERVER, else {DEFAULT_SERVER}
+  http://host:8000 or https://host speaks REST, grpc://host:50051 or grpcs://host:443 speaks gRPC
+  the variable REFINE_API_KEY signs in
+exit codes: 0 done, 1 the job or the server failed, 2 bad input
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose complaints are InvalidInput, told like every other error."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InvalidInput(f"{message}; {self.prog} --help explains the arguments")
+
+
+def make_parser(command: str, description: str, example: str) -> Parser:
+    """With --server, --json and a help that ends in examples."""
+    parser = Parser(
+        prog=f"refine {command}",
+        description=description,
+        epilog=f"{SERVER_HELP}\nexample\n{example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--server", metavar="URL", help="where the service is, see below")
+    parser.add_argument("--json", action="store_true", help="print JSON for programs, one object per line")
+    return parser
+
+
+def connect(arguments: argparse.Namespace) -> RefineClient:
+    return RefineClient(arguments.server)
+
+
+def command(
+    run: Callable[[Sequence[str]], None],
+) -> Callable[[Sequence[str]], int]:
+    """Make an exit code of how `run` ends; an error is one line `error: REASON: detail (request ID)`."""
+
+    @wraps(run)
+    def with_exit_code(argv: Sequence[str]) -> int:
+        try:
+            run(argv)
+        except RefineError as error:
+            request = f" (request {error.request_id})" if error.request_id else ""
+            code = BAD_INPUT if isinstance(error, (InvalidInput, Refused)) else FAILED
+            return _fail(f"{error.reason}: {error.detail}{request}", code)
+        except TimeoutError as error:
+            return _fail(f"TIMEOUT: {error}", FAILED)
+        except OSError as error:
+            name = f"{error.filename}: " if error.filename else ""
+            return _fail(f"INPUT_INVALID: {name}{error.strerror or error}", BAD_INPUT)
+        return 0
+
+    return with_exit_code
+
+
+def _fail(message: str, code: int) -> int:
+    """One line without control characters, whatever a server sent."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in message).split())
+    print(f"error: {line}", file=sys.stderr)
+    return code

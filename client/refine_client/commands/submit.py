@@ -1,0 +1,99 @@
+"""`refine submit`: send a refinement; with --wait and -o, see it through."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from refine_proto.errors import CameraInvalid
+from refine_proto.models import MeshFormat, Preset
+
+from .common import Parser, command, connect, make_parser
+from .watch import follow
+
+EXAMPLE = """\
+  refine submit coarse.glb silhouette.png --camera camera.json --wait -o out
+  id=$(refine submit coarse.glb silhouette.png --camera camera.json) && refine watch "$id"
+
+camera.json
+  {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9, "fov_y_degrees": 60}
+  or a matrix: docs/conventions.md
+"""
+_OPTIONS = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold")
+
+
+@command
+def submit_command(argv: Sequence[str]) -> None:
+    """Run `refine submit`."""
+    arguments = _parser().parse_args(argv)
+    camera = _read_camera(arguments.camera)
+    options: dict[str, Any] = {name: getattr(arguments, name) for name in (*_OPTIONS, "timeout_s")}
+    if arguments.output is not None:
+        arguments.output.mkdir(parents=True, exist_ok=True)  # before the job, not after it
+    with connect(arguments) as client:
+        refinement = client.submit(
+            arguments.mesh,
+            arguments.silhouette,
+            camera,
+            {name: value for name, value in options.items() if value is not None},
+            mesh_format=arguments.mesh_format,
+            idempotency_key=arguments.idempotency_key,
+        )
+        if not arguments.wait and arguments.output is None:
+            print(refinement.model_dump_json(exclude_none=True) if arguments.json else refinement.id)
+            return
+        try:
+            follow(client, refinement, arguments.json, arguments.output)
+        except KeyboardInterrupt:
+            print(
+                f"the refinement goes on; refine watch {refinement.id}, or refine cancel {refinement.id}",
+                file=sys.stderr,
+            )
+            raise
+
+
+def _read_camera(path: Path) -> dict[str, Any]:
+    try:
+        camera = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise CameraInvalid(f"expected JSON in {path}: {error}") from error
+    if not isinstance(camera, dict):
+        raise CameraInvalid(f"expected a JSON object in {path}, got {type(camera).__name__}")
+    return camera
+
+
+def _parser() -> Parser:
+    parser = make_parser(
+        "submit", "Send a mesh, its silhouette and the camera to a server and print the id.", EXAMPLE
+    )
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
+    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
+    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="see below")
+    parser.add_argument("--wait", action="store_true", help="follow it to its end, with a progress bar")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="wait, then download all artifacts")
+    parser.add_argument(
+        "--mesh-format", choices=list(MeshFormat), metavar="FORMAT", help="(the suffix of MESH)"
+    )
+    parser.add_argument(
+        "--idempotency-key", metavar="KEY", help="the same key and content give the same refinement"
+    )
+    _add_options(parser)
+    return parser
+
+
+def _add_options(parser: Parser) -> None:
+    group = parser.add_argument_group("how to refine (default: the server's)")
+    group.add_argument("--preset", choices=list(Preset), metavar="PRESET", help=", ".join(Preset))
+    group.add_argument("--iterations", type=int, metavar="N", help="optimisation steps")
+    group.add_argument("--seed", type=int, metavar="N", help="of the network's weights")
+    group.add_argument(
+        "--symmetry-normal", type=float, nargs=3, metavar=("X", "Y", "Z"), help="of the mirror plane"
+    )
+    group.add_argument("--symmetry-offset", type=float, metavar="D", help="of the mirror plane, world units")
+    group.add_argument(
+        "--silhouette-threshold", type=float, metavar="T", help="share of full scale above which is object"
+    )
+    group.add_argument("--timeout-s", type=float, metavar="S", help="longest running time")

@@ -1,0 +1,43 @@
+"""`refine watch`: follow a refinement to its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from refine_proto.models import Refinement
+
+from ..client import RefineClient
+from ..errors import error_of
+from .common import command, connect, make_parser
+from .display import choose_display
+
+EXAMPLE = """\
+  refine watch ID
+  refine watch ID --json | jq -r 'select(.type == "progress") | .progress.percent'
+"""
+
+
+@command
+def watch_command(argv: Sequence[str]) -> None:
+    """Run `refine watch`."""
+    parser = make_parser("watch", "Follow a refinement to its end; fails if it does.", EXAMPLE)
+    parser.add_argument("id", metavar="ID")
+    arguments = parser.parse_args(argv)
+    with connect(arguments) as client:
+        follow(client, client.get(arguments.id), arguments.json, None)
+
+
+def follow(client: RefineClient, refinement: Refinement, as_json: bool, output: Path | None) -> None:
+    """Show the refinement to its end, then fetch its artifacts; raises its error if it did not succeed."""
+    display = choose_display(as_json)
+    display.submitted(refinement)
+    with display:
+        for event in client.watch(refinement.id):
+            display.event(event)
+            refinement = event.refinement or refinement
+    if error := error_of(refinement):
+        raise error
+    display.finish(refinement)
+    if output is not None:
+        display.downloaded(client.download(refinement.id, output))

@@ -1,0 +1,254 @@
+"""The commands against a real socket: what they print, where, and how they end."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from server_double import ARTIFACTS, STEPS, Script
+
+from refine_client.commands.records import (
+    cancel_command,
+    delete_command,
+    download_command,
+    get_command,
+    list_command,
+)
+from refine_client.commands.submit import submit_command
+from refine_client.commands.watch import watch_command
+from refine_proto import errors
+from refine_proto.models import Event, Refinement, State
+
+COMMANDS = [
+    submit_command,
+    get_command,
+    list_command,
+    watch_command,
+    cancel_command,
+    delete_command,
+    download_command,
+]
+Output = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(autouse=True)
+def environment(server: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REFINE_SERVER", server)
+    monkeypatch.setenv("REFINE_API_KEY", "key-1")
+
+
+@pytest.fixture
+def submission(mesh: Path, silhouette: Path, camera: dict[str, Any], tmp_path: Path) -> list[str]:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(camera))
+    return [str(mesh), str(silhouette), "--camera", str(path)]
+
+
+def test_submit_prints_the_id(submission: list[str], script: Script, capsys: Output) -> None:
+    more = ["--preset", "fast", "--iterations", "20", "--seed", "3", "--symmetry-normal", "1", "0", "0"]
+    assert submit_command([*submission, *more, "--timeout-s", "60", "--idempotency-key", "my-own-key"]) == 0
+    assert capsys.readouterr() == ("job-1\n", "")
+    options = script.uploads["my-own-key"]["options"]
+    assert (options["preset"], options["iterations"], options["seed"]) == ("fast", 20, 3)
+    assert (options["symmetry_normal"], options["timeout_s"]) == ([1, 0, 0], 60)
+    assert script.calls[0].authorization == "Bearer key-1"
+
+
+def test_submit_wait_and_download(
+    submission: list[str], script: Script, tmp_path: Path, capsys: Output
+) -> None:
+    out = tmp_path / "deep/out"
+    assert submit_command([*submission, "--wait", "-o", str(out)]) == 0
+    printed, shown = capsys.readouterr()
+    assert printed.splitlines()[0] == "job-1 succeeded, 2D IoU 0.500 -> 0.900"
+    assert printed.splitlines()[1:] == [str(out / name) for name in ARTIFACTS]
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == ARTIFACTS
+    lines = shown.splitlines()
+    assert lines[0] == "job-1 queued"
+    assert lines[1:3] == ["queued", "running"]
+    assert lines[3] == f"iteration 1/{STEPS}  0 s left  loss 1.500  2D IoU 0.750"
+    assert lines[-1] == "succeeded"
+
+
+def test_submit_json_is_events_and_artifacts(
+    submission: list[str], script: Script, tmp_path: Path, capsys: Output
+) -> None:
+    assert submit_command([*submission, "-o", str(tmp_path / "out"), "--json"]) == 0
+    printed, shown = capsys.readouterr()
+    assert shown == ""
+    *lines, last = printed.splitlines()
+    events = [Event.model_validate_json(line) for line in lines]
+    assert [event.sequence for event in events] == list(range(1, STEPS + 4))
+    assert events[-1].refinement == script.refinement()
+    files = {name: str(tmp_path / "out" / name) for name in ARTIFACTS}
+    assert json.loads(last) == {"type": "artifacts", "artifacts": files}
+
+
+def test_submit_json_without_waiting_is_the_refinement(submission: list[str], capsys: Output) -> None:
+    assert submit_command([*submission, "--json"]) == 0
+    assert Refinement.model_validate_json(capsys.readouterr().out).state is State.QUEUED
+
+
+def test_a_bar_on_a_terminal(submission: list[str], tmp_path: Path) -> None:
+    program = (
+        "import sys; from refine_client.commands.submit import submit_command;"
+        "sys.exit(submit_command(sys.argv[1:]))"
+    )
+    ours, theirs = pty.openpty()
+    shown: list[bytes] = []
+
+    def read() -> None:
+        try:
+            while portion := os.read(ours, 65536):
+                shown.append(portion)
+        except OSError:  # how Linux ends a terminal that nobody writes to any more
+            return
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    command = [sys.executable, "-c", program, *submission, "--wait"]
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=theirs, env=environment, check=True)
+    os.close(theirs)
+    reader.join()
+    os.close(ours)
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", b"".join(shown).decode())
+    assert f"{STEPS}/{STEPS}" in text
+    assert "succeeded" in text
+    assert "2D IoU 0.750" in text
+    assert done.stdout.decode() == "job-1 succeeded, 2D IoU 0.500 -> 0.900\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(errors.Diverged("loss is not finite"), 1), (errors.MeshInvalid("no faces"), 2)]
+)
+def test_a_failed_job(
+    submission: list[str], script: Script, capsys: Output, error: errors.RefineError, code: int
+) -> None:
+    script.ends_in, script.error = State.FAILED, error
+    assert submit_command([*submission, "--wait"]) == code
+    printed, shown = capsys.readouterr()
+    assert printed == ""
+    assert shown.splitlines()[-1] == f"error: {error.reason}: {error.detail} (request req-job)"
+
+
+def test_a_cancelled_job(script: Script, capsys: Output) -> None:
+    script.ends_in = State.CANCELLED
+    assert watch_command(["job-1"]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "error: CANCELLED: refinement job-1 was cancelled"
+
+
+def test_ctrl_c_leaves_the_job_and_says_so(
+    submission: list[str], script: Script, capsys: Output, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(self: Any, event: Event) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("refine_client.commands.display.LineDisplay.event", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        submit_command([*submission, "--wait"])
+    assert "refine watch job-1, or refine cancel job-1" in capsys.readouterr().err
+    assert not script.seen("cancel")
+
+
+def test_get(script: Script, capsys: Output) -> None:
+    assert get_command(["job-1"]) == 0
+    shown = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert shown["state"] == "succeeded"
+    assert shown["2D"] == "IoU     0.500 -> 0.900"
+    assert shown["artifacts"] == "refined.glb, report.json"
+    assert get_command(["job-1", "--json"]) == 0
+    assert Refinement.model_validate_json(capsys.readouterr().out) == script.refinement()
+
+
+def test_list_follows_the_pages(script: Script, capsys: Output) -> None:
+    assert list_command(["--limit", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3
+    assert re.fullmatch(r"job-1  2026-01-0\d \d\d:\d\d:\d\d  succeeded", lines[0])
+    assert list_command(["--json"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [Refinement.model_validate_json(line).id for line in lines] == ["job-1"] * 4
+
+
+def test_cancel_and_delete(script: Script, capsys: Output) -> None:
+    script.hang = True
+    assert delete_command(["job-1"]) == 2
+    assert capsys.readouterr().err.startswith("error: CONFLICT: expected a refinement that has ended")
+    assert cancel_command(["job-1"]) == 0
+    assert "cancelled" in capsys.readouterr().out
+    assert delete_command(["job-1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"id": "job-1", "deleted": True}
+    assert script.deleted
+
+
+def test_watch_json(capsys: Output) -> None:
+    assert watch_command(["job-1", "--json"]) == 0
+    types = [json.loads(line)["type"] for line in capsys.readouterr().out.splitlines()]
+    assert types == ["state", "state"] + ["progress"] * STEPS + ["completed"]
+
+
+def test_download(tmp_path: Path, capsys: Output) -> None:
+    assert download_command(["job-1", "-o", str(tmp_path / "a")]) == 0
+    assert capsys.readouterr().out.splitlines() == [str(tmp_path / "a" / name) for name in ARTIFACTS]
+    assert download_command(["job-1", "report.json", "-o", str(tmp_path / "b"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"report.json": str(tmp_path / "b/report.json")}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (["--preset", "best"], "INPUT_INVALID: argument --preset: invalid choice: 'best'"),
+        (["--iterations", "0"], "OPTIONS_INVALID: /options/iterations: "),
+        (["--idempotency-key", "x"], "INPUT_INVALID: expected an idempotency key of 8 to 255"),
+        (["--server", "here"], "INPUT_INVALID: expected a server like http://host:8000"),
+        (["--camera", "no-such.json"], "INPUT_INVALID: no-such.json: No such file"),
+        (["--camera", "/dev/null"], "CAMERA_INVALID: expected JSON in /dev/null"),
+        (["--output", "/dev/null"], "INPUT_INVALID: /dev/null: File exists"),
+        (["--surprise"], "INPUT_INVALID: unrecognized arguments: --surprise; refine submit --help"),
+    ],
+)
+def test_bad_input_is_one_line_and_2(
+    submission: list[str], script: Script, capsys: Output, change: list[str], says: str
+) -> None:
+    assert submit_command([*submission, *change]) == 2
+    printed, shown = capsys.readouterr()
+    assert printed == ""
+    assert shown.startswith(f"error: {says}")
+    assert shown.count("\n") == 1
+    assert script.calls == []
+
+
+def test_an_error_has_the_request_id_and_no_control_characters(script: Script, capsys: Output) -> None:
+    script.failures = [errors.NotFound("expected one of yours,\n got \x1b[31mred\x07")]
+    assert get_command(["job-1"]) == 2
+    request_id = script.calls[0].request_id
+    line = f"error: NOT_FOUND: expected one of yours, got [31mred (request {request_id})\n"
+    assert capsys.readouterr().err == line
+
+
+def test_a_server_that_fails_is_1(script: Script, capsys: Output) -> None:
+    script.failures = [errors.QuotaExceeded("too many", retry_after_s=900)]
+    assert get_command(["job-1"]) == 1
+    assert capsys.readouterr().err.startswith("error: QUOTA_EXCEEDED: too many (request ")
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.__name__)
+def test_help_teaches(command: Any, capsys: Output) -> None:
+    with pytest.raises(SystemExit) as caught:
+        command(["--help"])
+    assert caught.value.code == 0
+    shown = capsys.readouterr().out
+    name = command.__name__.removesuffix("_command")
+    assert f"usage: refine {name}" in shown
+    assert f"  refine {name}" in shown.partition("example\n")[2]
+    assert "REFINE_SERVER" in shown
+    assert "exit codes" in shown
