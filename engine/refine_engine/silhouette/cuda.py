@@ -1,8 +1,8 @@
 """CUDA back end: the kernels of kernels.cu as torch functions.
 
-Nothing here waits for the card, reads a value back or allocates by what the data turn out to be, so an
-iteration made of these functions can be captured in a CUDA graph. The memory is fixed by the shapes: eight bytes
-a pixel for a sum or a z-buffer, 24 bytes a face and view for the gradient of its corners.
+Nothing here waits for the card, reads a value back or allocates by what the data turn out to be: an iteration of
+these functions can be captured in a CUDA graph. The memory is fixed by the shapes: 8 bytes a pixel for a sum or a
+z-buffer, 24 bytes a face and view for the gradient of its corners.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class _OpticalDepth(torch.autograd.Function):
 
 
 def optical_depth(screen: Tensor, faces: Tensor, side: int, softness: float) -> Tensor:
-    """S (B, side, side) by the specification in `oracle`, differentiable; a face adds at most 2^20 to a pixel."""
+    """S (B, side, side) by the specification in `oracle`, differentiable; a face adds at most 2^20."""
     return _OpticalDepth.apply(screen, faces, side, softness)
 
 

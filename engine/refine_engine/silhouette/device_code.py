@@ -33,7 +33,7 @@ def kernel_text() -> str:
 
 
 def compile_kernels(architecture: str, cache: ProgramCacheResource | None = None) -> ObjectCode:
-    """The kernels as machine code for `architecture` (such as "sm_90"). Needs NVRTC, but no card, no driver."""
+    """The kernels as machine code for `architecture` (such as "sm_90"). Needs NVRTC, no card, no driver."""
     from cuda.core import Program, ProgramOptions
 
     options = ProgramOptions(arch=architecture, std="c++17", define_macro=MACROS)
