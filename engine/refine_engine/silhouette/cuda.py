@@ -1,8 +1,8 @@
 """CUDA back end: the kernels of kernels.cu as torch functions.
 
-Nothing here waits for the card, reads a value back or allocates by what the data turn out to be: an iteration of
-these functions can be captured in a CUDA graph. The memory is fixed by the shapes: 8 bytes a pixel for a sum or a
-z-buffer, 24 bytes a face and view for the gradient of its corners.
+Nothing here waits for the card, reads a value back or allocates by what the data turn out to be: an
+iteration of these functions can be captured in a CUDA graph. The memory is fixed by the shapes: 8 bytes a
+pixel for a sum or a z-buffer, 24 bytes a face and view for the gradient of its corners.
 """
 
 from __future__ import annotations

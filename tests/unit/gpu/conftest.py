@@ -13,12 +13,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from refine_engine import Camera, Mesh, View
 from refine_engine.silhouette import device_code
 
+Bytes = NDArray[np.uint8]
 HERE = Path(__file__).parent
 GUARD = 256  # bytes on both sides of every buffer
 CANARY = 0xA5
@@ -52,15 +56,15 @@ class Emulator:
     def launch(self, name: str, grid: tuple[int, int], *arguments: Tensor | int | float) -> None:
         """As `device_code.launch`; raises if the kernel wrote outside its tensors."""
         values: list[ctypes.c_int | ctypes.c_float | ctypes.c_void_p] = []
-        guarded: list[tuple[Tensor, Tensor]] = []
+        guarded: list[tuple[Bytes, Bytes]] = []
         for argument in arguments:
             if isinstance(argument, Tensor):
                 assert argument.is_contiguous()
-                content = argument.reshape(-1).view(torch.uint8)
-                buffer = torch.full((len(content) + 2 * GUARD,), CANARY, dtype=torch.uint8)
+                content = argument.detach().reshape(-1).view(torch.uint8).numpy()
+                buffer = np.full(len(content) + 2 * GUARD, CANARY, np.uint8)
                 buffer[GUARD : GUARD + len(content)] = content
                 guarded.append((content, buffer))
-                values.append(ctypes.c_void_p(buffer.data_ptr() + GUARD))
+                values.append(ctypes.c_void_p(buffer.ctypes.data + GUARD))
             else:
                 values.append(
                     ctypes.c_int(argument) if isinstance(argument, int) else ctypes.c_float(argument)
@@ -69,9 +73,9 @@ class Emulator:
         getattr(self._library, f"emulate_{name}")(*grid, block, ctypes.c_bool(self.backwards), *values)
         self.launched.add(name)
         for content, buffer in guarded:
-            edges = torch.cat([buffer[:GUARD], buffer[GUARD + len(content) :]])
-            assert bool((edges == CANARY).all()), f"{name} wrote outside a buffer of {len(content)} bytes"
-            content.copy_(buffer[GUARD : GUARD + len(content)])
+            edges = np.concatenate([buffer[:GUARD], buffer[GUARD + len(content) :]])
+            assert (edges == CANARY).all(), f"{name} wrote outside a buffer of {len(content)} bytes"
+            content[:] = buffer[GUARD : GUARD + len(content)]
 
 
 @pytest.fixture(scope="session")
@@ -89,3 +93,24 @@ def emulator(compiled: Emulator, monkeypatch: pytest.MonkeyPatch) -> Emulator:
     compiled.launched = set()
     monkeypatch.setattr(device_code, "launch", compiled.launch)
     return compiled
+
+
+@pytest.fixture
+def octahedron_case() -> tuple[Mesh, list[View]]:
+    """An octahedron, twice subdivided, and a disc to fit it to."""
+    corners = torch.tensor([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]).float()
+    triangles = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    points: list[torch.Tensor] = []
+    faces = []
+    for a, b, c in triangles:
+        start = len(points)
+        x, y, z = corners[a], corners[b], corners[c]
+        points += [x, y, z, (x + y) / 2, (y + z) / 2, (z + x) / 2]
+        faces += [[start + i for i in f] for f in ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))]
+    unique, index = torch.stack(points).unique(dim=0, return_inverse=True)
+    mesh = Mesh(0.4 * torch.nn.functional.normalize(unique, dim=1), index[torch.tensor(faces)])
+    size = 64
+    y, x = torch.meshgrid(torch.arange(size), torch.arange(size), indexing="ij")
+    disc = (((x - 31.5) / 20) ** 2 + ((y - 31.5) / 14) ** 2 < 1).float()
+    camera = Camera.look_at(20.0, 10.0, 1.9, 60.0, size, size)
+    return mesh, [View(disc, camera)]
