@@ -51,15 +51,14 @@ def test_optical_depth_matches_the_specification(seed: int) -> None:
 def test_gradient_is_the_slope_of_the_value() -> None:
     screen, faces = scene(4, views=1)
     _, grad = with_gradient(cuda.optical_depth, screen, faces)
-    direction = torch.randn(screen.shape, generator=torch.Generator().manual_seed(2)).to(screen)
-    direction[..., 2] = 0
-    step = 2e-3  # pixels
+    direction = grad / grad.abs().max()  # uphill, where the slope stands out from rounding
+    step = 1e-2  # pixels
     ends = []
     weight = torch.randn(1, SIDE, SIDE, generator=torch.Generator().manual_seed(1)).to(screen)
     for sign in (1, -1):
         depth = cuda.optical_depth(screen + sign * step * direction, faces, SIDE, SOFTNESS)
         ends.append(float((depth.double() * weight).sum()))
-    assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(float((grad * direction).sum()), rel=0.02, abs=1)
+    assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(float((grad * direction).sum()), rel=0.02)
 
 
 def test_rasterize_matches_the_specification() -> None:
@@ -83,7 +82,7 @@ def test_image_symmetry_matches_the_plain_loss() -> None:
         else:
             sigma, covered = interpolate(fragments, faces, confidence), (fragments.face >= 0).float()
             value = losses.image_symmetry(seen, mirrored, sigma, covered, 5e-4)
-        results.append([value, *torch.autograd.grad(value, (seen, mirrored, confidence))])
+        results.append([value.detach(), *torch.autograd.grad(value, (seen, mirrored, confidence))])
     for one, other in zip(*results, strict=True):
         assert float((one - other).norm() / other.norm()) < 1e-4
 

@@ -183,8 +183,10 @@ def test_nearest_point_matches_all_distances(emulator: Any, count: int) -> None:
 
 def test_nearest_point_takes_the_lower_of_two_at_the_same_place(emulator: Any) -> None:
     points = torch.rand(400, 3, generator=torch.Generator().manual_seed(0))
-    points[300:] = points[:100]  # in another run of candidates
-    assert torch.equal(cuda.nearest_point(points, points), torch.arange(400) % 300)
+    expected = torch.arange(400)
+    points[300:], expected[300:] = points[:100], torch.arange(100)  # in another run of candidates
+    points[130:140], expected[130:140] = points[110:120], torch.arange(110, 120)  # in the same
+    assert torch.equal(cuda.nearest_point(points, points), expected)
 
 
 def test_every_kernel_is_run_by_these_functions(emulator: Any) -> None:
