@@ -104,7 +104,8 @@ class _OpticalDepth(torch.autograd.Function):
 
 def optical_depth(screen: Tensor, faces: Tensor, side: int, softness: float) -> Tensor:
     """S (B, side, side) by the specification in `oracle`, differentiable; a face adds at most 2^20."""
-    return _OpticalDepth.apply(screen, faces, side, softness)
+    depth: Tensor = _OpticalDepth.apply(screen, faces, side, softness)
+    return depth
 
 
 def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments:

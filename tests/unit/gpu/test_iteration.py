@@ -12,7 +12,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from refine_engine import Mesh, RefineConfig, View, refine
 from refine_engine.config import Stage
 from refine_engine.cuda_graph import Backlog, repeatable
-from refine_engine.record import Record
 from refine_engine.silhouette import cpu, cuda
 
 # each waits for the card and brings a value to the host, by itself or to size its result
@@ -26,7 +25,7 @@ class Operators(TorchDispatchMode):
     """Counts the operators that run while it is entered."""
 
     def __init__(self) -> None:
-        super().__init__()
+        TorchDispatchMode.__init__(self)
         self.count: Counter[str] = Counter()
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
@@ -37,7 +36,9 @@ class Operators(TorchDispatchMode):
 def config(iterations: int) -> RefineConfig:
     return RefineConfig(
         stages=(Stage(iterations, 32, 3e-3), Stage(iterations, 40, 1e-3)),
+        proportions=None,
         encoder_size=64,
+        train_encoder=True,
         symmetry_azimuths_degrees=(15.0,),
         symmetry_elevations_degrees=(45.0,),
     )
@@ -110,25 +111,3 @@ def test_backlog_waits_for_the_oldest_beyond_its_limit() -> None:
     for number in range(5):
         backlog.add(Done(number))
         assert waited == list(range(number - 1))
-
-
-def test_record_keeps_the_curve_and_the_best_iterate_where_they_are() -> None:
-    record = Record(4, 2, 3, torch.device("cpu"))
-    places = [t.data_ptr() for t in (record.curve, record.offsets, record.confidence)]
-    totals = [5.0, 3.0, float("nan"), 4.0]
-    for k, total in enumerate(totals):
-        terms = [torch.tensor(total - 1), torch.tensor(1.0)]
-        record.add(terms, torch.tensor(total), torch.full((3, 3), float(k)), torch.full((3,), k / 10))
-    assert record.curve[:, 2].tolist()[:2] == [5.0, 3.0]
-    assert record.curve[3].tolist() == [3.0, 1.0, 4.0]
-    assert record.offsets.unique().tolist() == [1.0]
-    assert record.confidence.unique().tolist() == pytest.approx([0.1])
-    assert [t.data_ptr() for t in (record.curve, record.offsets, record.confidence)] == places
-
-
-def test_record_compares_within_a_stage() -> None:
-    record = Record(2, 1, 1, torch.device("cpu"))
-    record.add([torch.tensor(1.0)], torch.tensor(1.0), torch.zeros(1, 3), torch.zeros(1))
-    record.forget_best()
-    record.add([torch.tensor(9.0)], torch.tensor(9.0), torch.ones(1, 3), torch.ones(1))
-    assert record.offsets.tolist() == [[1.0, 1.0, 1.0]]

@@ -30,7 +30,7 @@ def random_mesh(seed: int, vertices: int = 24, faces: int = 40, views: int = 2) 
 
 def awkward_faces() -> tuple[Tensor, Tensor]:
     """Faces that renderers get wrong, one of each kind, and two plain ones."""
-    points = {
+    points: dict[str, list[tuple[float, float]]] = {
         "edge-on": [(5, 5), (15, 5), (30, 5)],
         "point": [(20.5, 20.5)] * 3,
         "two equal corners": [(8, 30), (8, 30), (25, 33)],
@@ -151,7 +151,9 @@ def symmetry(
     seen, mirrored = seen.clone().requires_grad_(), mirrored.clone().requires_grad_()
     value = loss(seen, mirrored, fragments, faces, confidence, cost)
     (80 * value).backward()
-    return [t.detach() for t in (value, seen.grad, mirrored.grad, confidence.grad)]
+    gradients = [t.grad for t in (seen, mirrored, confidence) if t.grad is not None]
+    assert len(gradients) == 3
+    return [value.detach(), *gradients]
 
 
 def plain_symmetry(
