@@ -164,6 +164,7 @@ def race_streams(
     if device.type == "cuda":
         torch.cuda.empty_cache()
         torch.cuda.reset_peak_memory_stats(device)
+    wait_for(device)  # the case was put on the card by another stream
     barrier = threading.Barrier(instances)
     runs: list[Run] = []
     failures: list[BaseException] = []

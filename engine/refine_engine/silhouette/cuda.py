@@ -1,8 +1,8 @@
 """CUDA back end: the kernels of kernels.cu as torch functions.
 
-Nothing here waits for the card, reads a value back or allocates by what the data turn out to be: an
-iteration of these functions can be captured in a CUDA graph. The memory is fixed by the shapes: 8 bytes a
-pixel for a sum or a z-buffer, 24 bytes a face and view for the gradient of its corners.
+Nothing here but the first look at a mesh waits for the card, and nothing reads a value back or allocates by
+what the data turn out to be: an iteration of these functions can be captured in a CUDA graph. The memory is
+fixed by the shapes: 8 bytes a pixel for a sum or a z-buffer, 24 bytes a face and view for the gradient.
 """
 
 from __future__ import annotations
@@ -63,7 +63,10 @@ _tables = WeakTensorKeyDictionary()  # faces -> its table: built once for each m
 def _table(faces: Tensor, vertices: int) -> CornerTable:
     table: CornerTable | None = _tables.get(faces)
     if table is None or len(table.offsets) != vertices + 1:
-        table = _tables[faces] = CornerTable.of(faces, vertices)
+        table = CornerTable.of(faces, vertices)
+        if faces.is_cuda:  # another thread may use it on another stream; this is before any recording
+            torch.cuda.current_stream(faces.device).synchronize()
+        _tables[faces] = table
     return table
 
 
