@@ -3,8 +3,8 @@
     network -> displacement, confidence -> deform -> render -> losses -> step; keep the best; report.
 
 `refine` is the run, `Fit` its state, `Fit.step` one iteration. A step works on tensors that were there before
-it and sends nothing to the host, so that it can be captured in a CUDA graph; the host looks at most twice a
-second.
+it and sends nothing to the host, so that on a card it is captured in a CUDA graph (`repeatable`); the host
+looks at most twice a second.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from torch import Tensor
 
 from . import losses
 from .config import RefineConfig, Stage
+from .cuda_graph import repeatable
 from .errors import Cancelled, Diverged
 from .metrics import silhouette_iou
 from .network import Refiner, initialise
@@ -55,10 +56,11 @@ def refine(
     iteration, reported = 0, -math.inf
     for stage in config.stages:
         fit.enter(stage)
+        step = repeatable(fit.step, mesh.vertices.device)
         for _ in range(stage.iterations):
             if cancelled is not None and cancelled():
                 raise Cancelled(f"cancelled after {iteration} of {config.iterations} iterations")
-            fit.step()
+            step()
             iteration += 1
             now = time.monotonic()
             if report and (now - reported > REPORT_INTERVAL_S or iteration == config.iterations):
@@ -119,7 +121,7 @@ class Fit:
             network.encoder.requires_grad_(False)
             self.features = network.features(self.seen, self.grid)
         trained = [p for p in network.parameters() if p.requires_grad]
-        self.optimiser = torch.optim.Adam(trained, config.learning_rate, fused=True)
+        self.optimiser = torch.optim.Adam(trained, config.learning_rate, fused=True, capturable=True)
 
         self.iteration = self.coarse.new_zeros(1, dtype=torch.int64)
         self.curve = self.coarse.new_zeros(config.iterations, len(TERMS) + 1)  # weighted terms, total

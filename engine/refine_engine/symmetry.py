@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from .scene import Mesh
+from .silhouette import cuda
 
 DENSE_LIMIT = 3000  # vertices up to which all distances at once are cheaper than a tree
 SAMPLES = 2000  # surface points for comparing a mesh with its mirror image
@@ -32,6 +33,8 @@ def nearest_mirrored(vertices: Tensor, mirror: Tensor) -> Tensor:
     """For each v the index of the vertex u nearest to T v: (V, 3) -> (V,) int64. Not differentiable."""
     points = vertices.detach()
     mirrored = points @ mirror
+    if points.device.type == "cuda":
+        return cuda.nearest_point(points, mirrored)
     if points.device.type == "cpu" and len(points) > DENSE_LIMIT:
         _, index = cKDTree(points.numpy()).query(mirrored.numpy())
         return torch.from_numpy(index)

@@ -1,7 +1,8 @@
 """The differentiable soft silhouette and the hard rasteriser: one numeric specification, several back ends.
 
 `oracle` states the specification and computes it in plain torch, on any device; it decides what is right.
-`cpu` is the fast path for CPU tensors. Tests hold them together, values and gradients.
+`cpu` is the fast path for CPU tensors, `cuda` the one for CUDA tensors. Tests hold them together, values and
+gradients.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from .. import losses
-from . import cpu, oracle
+from . import cpu, cuda, oracle
 from .fragments import Fragments, interpolate
 
 __all__ = ["Fragments", "image_symmetry", "interpolate", "optical_depth", "rasterize"]
@@ -24,6 +25,8 @@ def optical_depth(
     """S (B, side, side): alpha = 1 - exp(-S). Differentiable with respect to x and y of `screen`."""
     if screen.device.type == "cpu":
         return cpu.optical_depth(screen, faces, side, softness)
+    if screen.device.type == "cuda":
+        return cuda.optical_depth(screen, faces, side, softness)
     return oracle.optical_depth(screen, faces, side, softness)
 
 
@@ -35,6 +38,8 @@ def rasterize(
     """The visible face and the barycentric weights at every pixel centre. Not differentiable."""
     if screen.device.type == "cpu":
         return cpu.rasterize(screen, faces, size)
+    if screen.device.type == "cuda":
+        return cuda.rasterize(screen, faces, size)
     return oracle.rasterize(screen, faces, size)
 
 
@@ -49,5 +54,7 @@ def image_symmetry(
     """`losses.image_symmetry` with the confidence of the visible faces; a scalar, differentiable."""
     if seen.device.type == "cpu":
         return cpu.image_symmetry(seen, mirrored, visible, faces, confidence, cost)
+    if seen.device.type == "cuda":
+        return cuda.image_symmetry(seen, mirrored, visible, faces, confidence, cost)
     covered = (visible.face >= 0).to(seen.dtype)
     return losses.image_symmetry(seen, mirrored, interpolate(visible, faces, confidence), covered, cost)
