@@ -137,7 +137,7 @@ def time_parts(case: Case, device: torch.device, config: RefineConfig, runs: int
     stage = replace(config.stages[-1], iterations=runs + EAGER_RUNS + 2)
     fit = Fit(*case, replace(config, stages=(stage,)))
     fit.enter(stage)
-    fit.step()  # makes the gradients and the optimiser's state
+    repeatable(fit.step, device)()  # makes the gradients and the optimiser's state
     milliseconds = {}
     for name, part in parts_of_iteration(fit).items():
 

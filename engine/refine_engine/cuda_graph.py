@@ -7,6 +7,7 @@ where they are, and never asks for a value on the host. The counter of a loop is
 from __future__ import annotations
 
 import threading
+import warnings
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol
@@ -77,7 +78,9 @@ class Recorded:
     def _run(self) -> None:
         if self._eager_runs < EAGER_RUNS:
             self._eager_runs += 1
-            self._iteration()
+            with warnings.catch_warnings():  # an optimiser made to be recorded says so when it is not yet
+                warnings.filterwarnings("ignore", "This instance was constructed with capturable=True")
+                self._iteration()
             return
         if self._graph is None:
             self._graph = self._record()

@@ -121,7 +121,8 @@ class Fit:
             network.encoder.requires_grad_(False)
             self.features = network.features(self.seen, self.grid)
         trained = [p for p in network.parameters() if p.requires_grad]
-        self.optimiser = torch.optim.Adam(trained, config.learning_rate, fused=True, capturable=True)
+        on_card = self.coarse.is_cuda
+        self.optimiser = torch.optim.Adam(trained, config.learning_rate, fused=True, capturable=on_card)
 
         self.iteration = self.coarse.new_zeros(1, dtype=torch.int64)
         self.curve = self.coarse.new_zeros(config.iterations, len(TERMS) + 1)  # weighted terms, total
