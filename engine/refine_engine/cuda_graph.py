@@ -15,9 +15,7 @@ from typing import Protocol
 import torch
 
 EAGER_RUNS = 3  # before the recording: kernels are compiled, workspaces and optimiser state made
-IN_FLIGHT = (
-    2  # replays queued on the card: it never waits for Python, and a cancellation waits for two at most
-)
+IN_FLIGHT = 2  # replays queued: the card never waits for Python, a cancellation for two replays at most
 
 _recording = threading.Lock()  # a recording must not meet the synchronisation that starts another one
 
@@ -57,9 +55,8 @@ class Recorded:
     def __init__(self, iteration: Callable[[], None], device: torch.device) -> None:
         self._iteration = iteration
         self._device = device
-        self._stream = torch.cuda.Stream(
-            device
-        )  # of all runs: autograd remembers on which stream a leaf was used
+        # one for all runs: autograd remembers on which stream a leaf was used
+        self._stream = torch.cuda.Stream(device)
         self._graph: torch.cuda.CUDAGraph | None = None
         self._eager_runs = 0
         self._backlog = Backlog(IN_FLIGHT)
