@@ -66,7 +66,7 @@ class RefineConfig:
     """The fit of the whole mesh before the network; None: no such step (paper)."""
     stages: tuple[Stage, ...] = (Stage(200, 224, 3e-5),)
     weights: Weights = field(default_factory=lambda: Weights(normal_consistency=3.0))
-    """The paper's, less the one that flattens: once the proportions are right, what is left to do is local."""
+    """The paper's, less the one that flattens: once the proportions are right, the rest is local."""
     confidence_cost: float = 0.0005
     """lambda_B: what it costs to call a place asymmetric."""
     learning_rate: float = 1.4e-4
