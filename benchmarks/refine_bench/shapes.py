@@ -14,6 +14,7 @@ import trimesh
 from manifold3d import Manifold
 from numpy.random import Generator
 
+from .furniture import arm_lamp, bench, cabinet, corner_sofa, display, open_cabinet, sofa, speaker
 from .solids import box, disc_across_x, extruded, foil, loft, mirrored, revolved, rod, rounded_box, union
 
 
@@ -183,16 +184,13 @@ def lamp(rng: Generator) -> Manifold:
 
 
 GENERATORS: Mapping[str, Callable[[Generator], Manifold]] = {
-    "airplane": airplane,
-    "car": car,
-    "chair": chair,
-    "desk": desk,
-    "lamp": lamp,
-    "mug": mug,
-    "one_armed_chair": one_armed_chair,
-    "table": table,
-}
-ASYMMETRIC = frozenset({"desk", "one_armed_chair"})
+    generator.__name__: generator
+    for generator in (
+        airplane, arm_lamp, bench, cabinet, car, chair, corner_sofa, desk, display, lamp, mug, one_armed_chair,
+        open_cabinet, sofa, speaker, table,
+    )
+}  # fmt: skip
+ASYMMETRIC = frozenset({"arm_lamp", "corner_sofa", "desk", "one_armed_chair", "open_cabinet"})
 
 
 def make_shape(category: str, seed: int) -> trimesh.Trimesh:
