@@ -25,7 +25,15 @@ from refine_engine.scene import Camera, View
 
 from ..asymmetry import ASYMMETRIC_FROM, image_asymmetry
 from ..cases import (
-    Case, CaseSkipped, CaseUnavailable, Scene, SetInvalid, existing_folder, read_bytes, read_mesh_file, subfolders,
+    Case,
+    CaseSkipped,
+    CaseUnavailable,
+    Scene,
+    SetInvalid,
+    existing_folder,
+    read_bytes,
+    read_mesh_file,
+    subfolders,
 )  # fmt: skip
 from ..coarse_files import CoarseFolder
 

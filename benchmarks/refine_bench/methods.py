@@ -1,0 +1,136 @@
+"""Ways to refine a case: the engine with its ablations, the baselines, and plug-ins of other people.
+
+A plug-in is one function `refine(mesh, silhouette, camera) -> mesh`: coarse `Mesh`, silhouette (H, W) float32
+with 1 on the object, `Camera`; the result is a `Mesh` in the same world frame. Named as `package.module:refine`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+
+from torch import Tensor
+
+from refine_engine.config import RefineConfig
+from refine_engine.loop import refine
+from refine_engine.options import PRESETS, shorten
+from refine_engine.scene import Camera, Mesh
+
+from . import baselines
+from .cases import Case, Scene, SetInvalid
+
+Plugin = Callable[[Mesh, Tensor, Camera], Mesh]
+
+PRESET_NAMES = ("default", "paper", "fast")
+FAST_SHARE = 4  # what `fast` is to cost, as a divisor of the default's iterations, in an engine without it
+PLAIN = "refine"
+ASYMMETRIC_ONLY = "confidence_cost_1"
+# What is switched off, from nothing but the silhouette to all terms (paper, ablation table).
+WITHOUT: Mapping[str, tuple[str, ...]] = {
+    "silhouette": (
+        "displacement",
+        "normal_consistency",
+        "laplacian",
+        "vertex_symmetry",
+        "image_symmetry",
+    ),
+    "smoothness": ("vertex_symmetry", "image_symmetry"),
+    "vertex_symmetry": ("image_symmetry",),
+    "all": (),
+}
+ABLATION = (*WITHOUT, ASYMMETRIC_ONLY)
+BASELINES: Mapping[str, baselines.Step] = {
+    "vertices_adam": baselines.adam_step,
+    "vertices_large_steps": baselines.large_step,
+}
+TITLES: Mapping[str, str] = {
+    "silhouette": "silhouette only",
+    "smoothness": "+ displacement, normal consistency, Laplacian",
+    "vertex_symmetry": "+ vertex symmetry",
+    "all": "+ image symmetry (all), lambda_B = 0.0005",
+    ASYMMETRIC_ONLY: "all, lambda_B = 1.0",
+    "vertices_adam": "vertices, Adam",
+    "vertices_large_steps": "vertices, Large Steps",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a method made of a case."""
+
+    mesh: Mesh
+    seconds: float
+    confidence: Tensor | None = None  # (V,)
+    loss_curve: Sequence[float] = ()
+    queue_s: float | None = None  # waited for a slot; of a server only
+
+
+Method = Callable[[Case, Scene, int], Outcome]  # the int is the seed
+
+
+def applies(method: str, case: Case) -> bool:
+    """Whether a case is among those on which a method is measured."""
+    return method != ASYMMETRIC_ONLY or case.asymmetric
+
+
+def preset_config(name: str) -> tuple[RefineConfig, str | None]:
+    """The engine's preset, and a warning when this engine has no such preset and another one stands in."""
+    if name in PRESETS:
+        return PRESETS[name](), None
+    config = RefineConfig()
+    iterations = config.iterations // FAST_SHARE
+    warning = f"this engine has no preset {name!r}: its default runs with {iterations} iterations instead"
+    return replace(config, stages=shorten(config.stages, iterations)), warning
+
+
+def make_method(name: str, config: RefineConfig) -> Method:
+    """`refine`, a name of ABLATION or of BASELINES, or `module:function`; raises SetInvalid for any other."""
+    if name == PLAIN:
+        return _engine(config)
+    if name in WITHOUT:
+        weights = replace(config.weights, **dict.fromkeys(WITHOUT[name], 0.0))
+        return _engine(replace(config, weights=weights))
+    if name == ASYMMETRIC_ONLY:
+        return _engine(replace(config, confidence_cost=1.0))
+    if name in BASELINES:
+        return _baseline(config, BASELINES[name])
+    return _plugin(name)
+
+
+def _engine(config: RefineConfig) -> Method:
+    def method(case: Case, scene: Scene, seed: int) -> Outcome:
+        effective = replace(config, seed=seed, symmetry_normal=case.symmetry_normal)
+        result = refine(scene.coarse, [scene.view], effective)
+        return Outcome(result.mesh, result.seconds, result.confidence, tuple(result.loss_curve["total"]))
+
+    return method
+
+
+def _baseline(config: RefineConfig, step: baselines.Step) -> Method:
+    def method(case: Case, scene: Scene, seed: int) -> Outcome:  # nothing in it is random
+        started = time.monotonic()
+        effective = replace(config, symmetry_normal=case.symmetry_normal)
+        mesh, confidence, curve = baselines.optimise(scene.coarse, scene.view, effective, step)
+        return Outcome(mesh, time.monotonic() - started, confidence, curve)
+
+    return method
+
+
+def _plugin(name: str) -> Method:
+    module, _, attribute = name.partition(":")
+    try:
+        function: Plugin = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SetInvalid(
+            f"expected a method among {', '.join((PLAIN, *ABLATION, *BASELINES))}, or module:function of a "
+            f"plug-in that can be imported, got {name!r} ({error})"
+        ) from error
+
+    def method(case: Case, scene: Scene, seed: int) -> Outcome:
+        started = time.monotonic()
+        mesh = function(scene.coarse, scene.view.silhouette, scene.view.camera)
+        return Outcome(mesh, time.monotonic() - started)
+
+    return method
