@@ -1,8 +1,8 @@
 """What the network is compared with: the same losses and renders, but the vertices themselves are optimised.
 
 adam_step    plain Adam on the displacements
-large_step   Adam on u = (I + lambda L) v with one step size for all, L the uniform Laplacian: Nicolet, Jacobson
-             and Jakob, "Large Steps in Inverse Rendering of Geometry", SIGGRAPH Asia 2021, sections 3 and 4
+large_step   Adam on u = (I + lambda L) v with one step size for all, L the uniform Laplacian: Nicolet,
+             Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry", SIGGRAPH Asia 2021
 
 The symmetry confidences are free numbers, one per vertex, instead of the network's second head.
 """
@@ -28,9 +28,7 @@ from refine_engine.silhouette import interpolate, optical_depth, rasterize
 from refine_engine.symmetry import mirror_matrix, nearest_mirrored
 from refine_engine.topology import Topology, neighbour_sum
 
-ADAM_LEARNING_RATE = (
-    1e-3  # normalised lengths per step; the best of 3e-4, 1e-3, 3e-3 should be re-chosen per set
-)
+ADAM_LEARNING_RATE = 1e-3  # normalised lengths per step
 LARGE_STEPS_LEARNING_RATE = 3e-3
 LARGE_STEPS_LAMBDA = 19.0  # the authors' default
 CONFIDENCE_LEARNING_RATE = 3e-2  # per step of the logit
@@ -38,7 +36,7 @@ CONFIDENCE_START = 3.0  # logit: 0.95, near full confidence as the network start
 BETAS = (0.9, 0.999)
 
 Step = Callable[[Topology, Tensor], "tuple[Callable[[], Tensor], Callable[[int], None]]"]
-"""(topology, start (V, 3)) -> (current vertices as a differentiable function, update by the gradients; 1-based)"""
+"""(topology, start (V, 3)) -> (the current vertices, differentiable; the update of a 1-based iteration)"""
 
 
 def optimise(

@@ -1,8 +1,8 @@
 """A network's outputs in a folder, one mesh per instance, under the names and in the frames of the networks.
 
 OccNet      generation/meshes/<category>/<instance>.off; the object's box centred, its longest side 1
-Pixel2Mesh  <category>/<instance>/rendering/<view>.obj, or <view>.3.obj for the third stage of the PyTorch port;
-            in the axes of the input camera
+Pixel2Mesh  <category>/<instance>/rendering/<view>.obj, or <view>.3.obj for the third stage of the PyTorch
+            port; in the axes of the input camera
 AtlasNet    <instance>AtlasnetReconstruction.ply; the object's surface points centred, the farthest at 1
 others      <category>/<instance>.<suffix> or <instance>.<suffix>, with any suffix that the engine reads
 
@@ -80,8 +80,8 @@ class CoarseFolder:
                     return path
         raise CaseUnavailable(
             f"expected a coarse mesh of {category}/{instance} in {self.folder}, for instance "
-            f"{category}/{instance}.off (OccNet), {category}/{instance}/rendering/{view or 'VIEW'}.obj (Pixel2Mesh) "
-            f"or {instance}AtlasnetReconstruction.ply (AtlasNet); got none of these"
+            f"{category}/{instance}.off (OccNet), {category}/{instance}/rendering/{view or 'VIEW'}.obj "
+            f"(Pixel2Mesh) or {instance}AtlasnetReconstruction.ply (AtlasNet); got none of these"
         )
 
     def _to_world(self, vertices: Tensor, path: Path, camera: Camera, ground_truth: Mesh | None) -> Tensor:

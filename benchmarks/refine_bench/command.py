@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +18,7 @@ from .cases import Case, SetInvalid, read_bytes
 from .coarse_files import FRAMES, CoarseFolder
 from .methods import ABLATION, BASELINES, PLAIN, PRESET_NAMES, Method, make_method, preset_config
 from .records import Results
+from .remote import ServerMethod, server_method
 from .report import write_report
 from .rerender import rerender
 from .runner import Plan, run
@@ -29,6 +31,7 @@ from .show import Show
 from .tables import tables_csv, tables_markdown
 
 FAILED, BAD_INPUT = 1, 2
+SERVER = "server"  # the name of the method behind --server
 EPILOG = f"""\
 methods (--method, several may be given)
   {PLAIN:22} the engine (the default)
@@ -44,7 +47,7 @@ results, in --output
 examples
   refine bench synthetic --subset small --preset fast
   refine bench synthetic --ablation -o out/ablation
-  refine bench shapenet ShapeNetRendering --models ShapeNetCore.v1 --coarse onet/generation/meshes --frame unit_box
+  refine bench shapenet ShapeNetRendering --models ShapeNetCore.v1 --coarse generation/meshes --frame unit_box
   refine bench synthetic --subset small --server http://localhost:8000 --in-flight 4
 """
 
@@ -79,7 +82,12 @@ def _bench(options: argparse.Namespace) -> int:
     results = Results(folder, settings)
     with Show() as show:
         run(plan, results, show)
-    return _write(results, plan, options)
+    code = _write(results, plan, options)
+    if isinstance(server := methods.get(SERVER), ServerMethod):
+        summary = json.dumps(server.summary(), indent=2)
+        (folder / "throughput.json").write_text(summary + "\n", encoding="utf-8")
+        print(summary)
+    return code
 
 
 def _write(results: Results, plan: Plan, options: argparse.Namespace) -> int:
@@ -93,27 +101,25 @@ def _write(results: Results, plan: Plan, options: argparse.Namespace) -> int:
     (results.folder / "tables.md").write_text(tables, encoding="utf-8")
     (results.folder / "tables.csv").write_text(tables_csv(records), encoding="utf-8")
     if any(record.status == "done" for record in records):
-        _draw_figure(results, next(iter(plan.methods)))
+        _draw_figure(results, list(plan.methods))
     report = write_report(results.folder, records, title, tables)
     print(tables)
     print(f"{report}")
     return FAILED if any(record.status == "failed" for record in records) else 0
 
 
-def _draw_figure(results: Results, method: str) -> None:
+def _draw_figure(results: Results, methods: Sequence[str]) -> None:
     try:
         from .figure import draw_figure
     except ModuleNotFoundError as error:
         print(f"no figure: {error.name} is not installed; pip install 'refine-mesh[bench]'", file=sys.stderr)
         return
-    (results.folder / "figure.png").write_bytes(draw_figure(results.records, method))
+    (results.folder / "figure.png").write_bytes(draw_figure(results.records, methods))
 
 
 def _methods(options: argparse.Namespace) -> Mapping[str, Method]:
     if options.server:
-        from .remote import server_method
-
-        return {"server": server_method(options.server, options.preset, options.api_key)}
+        return {SERVER: server_method(options.server, options.preset, options.api_key)}
     config, warning = preset_config(options.preset)
     if warning:
         print(f"warning: {warning}", file=sys.stderr)

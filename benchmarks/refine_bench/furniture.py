@@ -117,7 +117,8 @@ def _sofa(rng: Generator) -> tuple[Manifold, float, float, float]:
     inside = (width - 2 * arm) / 2
     cushion = rounded_box((depth - 0.1, 0.1, inside), (0.05, seat_y - 0.02, inside / 2), 0.03)
     back_profile = [
-        (-depth / 2 - 0.08, back_y), (-depth / 2 - 0.02, 0.06), (-depth / 2 + 0.14, 0.06), (-depth / 2 + 0.05, back_y),
+        (-depth / 2 - 0.08, back_y), (-depth / 2 - 0.02, 0.06), (-depth / 2 + 0.14, 0.06),
+        (-depth / 2 + 0.05, back_y),
     ]  # fmt: skip
     back = extruded(back_profile, width - 0.04)
     side = rounded_box(

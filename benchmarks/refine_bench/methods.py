@@ -1,7 +1,8 @@
 """Ways to refine a case: the engine with its ablations, the baselines, and plug-ins of other people.
 
 A plug-in is one function `refine(mesh, silhouette, camera) -> mesh`: coarse `Mesh`, silhouette (H, W) float32
-with 1 on the object, `Camera`; the result is a `Mesh` in the same world frame. Named as `package.module:refine`.
+with 1 on the object, `Camera`; the result is a `Mesh` in the same world frame. It is named as
+`package.module:refine`.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class Record:
 
 
 class Results:
-    """A results folder. What is done is kept when the same run is started again; what failed is tried again."""
+    """A results folder. What is done stays when the same run is started again; what failed is tried again."""
 
     def __init__(self, folder: Path, settings: Mapping[str, object]) -> None:
         """Opens the folder; SetInvalid when it holds the results of a run with other settings."""

@@ -1,4 +1,4 @@
-"""report.html: every result with its pictures and loss curve, the worst first, in one file without a network."""
+"""report.html: every result with its pictures and loss curve, the worst first, in one file."""
 
 from __future__ import annotations
 
@@ -7,21 +7,25 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 
+from .methods import TITLES
 from .pictures import COLUMNS as PANELS
 from .records import Record
-from .tables import COLUMNS, TITLES
+from .tables import COLUMNS
 
 PLOT_WIDTH, PLOT_HEIGHT = 220, 90  # pixels of a loss curve
 STYLE = """
-body { font: 14px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1180px; padding: 0 1rem; color: #222 }
+body { font: 14px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 1180px; padding: 0 1rem;
+       color: #222 }
 h1 { font-size: 1.5rem } h2 { font-size: 1.05rem; margin: 0 }
 .case { border: 1px solid #ddd; border-radius: 6px; padding: .8rem 1rem; margin: 1rem 0; display: grid;
         grid-template-columns: minmax(0, 840px) 1fr; gap: 0 1.2rem }
 .case header { grid-column: 1 / -1; display: flex; gap: .8rem; align-items: baseline; flex-wrap: wrap }
 .tag { color: #666 } .worse { color: #b3261e } .better { color: #1b6e3c }
-.panels { display: grid; grid-template-columns: repeat(5, 1fr); color: #666; text-align: center; margin-top: .4rem }
+.panels { display: grid; grid-template-columns: repeat(5, 1fr); color: #666; text-align: center;
+          margin-top: .4rem }
 img { width: 100%; display: block; background: #fff }
-table { border-collapse: collapse; margin: .4rem 0 } td, th { padding: .1rem .5rem .1rem 0; text-align: right }
+table { border-collapse: collapse; margin: .4rem 0 }
+td, th { padding: .1rem .5rem .1rem 0; text-align: right }
 td:first-child, th:first-child { text-align: left } th { font-weight: 600; color: #666 }
 pre { background: #f6f6f6; padding: .8rem; overflow-x: auto; font-size: 12px }
 svg { display: block; margin-top: .5rem } .note { color: #666 }
@@ -29,8 +33,8 @@ svg { display: block; margin-top: .5rem } .note { color: #666 }
 """
 LEGEND = (
     "Above as the input camera sees it, below from a quarter turn around the object. Under the input: its "
-    "silhouette against the refined mesh, grey where they agree, blue what the mesh misses, orange what it has too "
-    "much. Confidence of symmetry: red low, green high."
+    "silhouette against the refined mesh, grey where they agree, blue what the mesh misses, orange what it "
+    "has too much. Confidence of symmetry: red low, green high."
 )
 
 
@@ -56,12 +60,14 @@ def write_report(folder: Path, records: Sequence[Record], title: str, tables: st
 
 
 def badness(record: Record) -> float:
-    """Chamfer-l2 after as a share of before; without ground truth by the 2D IoU that is missing."""
+    """Chamfer-l2 after as a share of before; without ground truth what the 2D IoU lacks, likewise."""
     before, after = record.before or {}, record.after or {}
-    for metric, value in (("chamfer_l2", lambda x: x), ("silhouette_iou", lambda x: 1 - x)):
-        first, last = before.get(metric), after.get(metric)
-        if first is not None and last is not None:
-            return float(value(last) / max(value(first), 1e-9))
+    if (first := before.get("chamfer_l2")) is not None and (last := after.get("chamfer_l2")) is not None:
+        return last / max(first, 1e-9)
+    if (seen := before.get("silhouette_iou")) is not None and (
+        now := after.get("silhouette_iou")
+    ) is not None:
+        return (1 - now) / max(1 - seen, 1e-9)
     return 0.0
 
 
@@ -113,8 +119,8 @@ def _curve(losses: Sequence[float]) -> str:
     return (
         f"<svg width='{PLOT_WIDTH}' height='{PLOT_HEIGHT + 18}' role='img' aria-label='loss curve'>"
         f"<polyline points='{points}' fill='none' stroke='#2f5fb3' stroke-width='1.5'/>"
-        f"<text x='0' y='{PLOT_HEIGHT + 14}' font-size='11' fill='#666'>loss {losses[0]:.3g} to {losses[-1]:.3g}"
-        "</text></svg>"
+        f"<text x='0' y='{PLOT_HEIGHT + 14}' font-size='11' fill='#666'>"
+        f"loss {losses[0]:.3g} to {losses[-1]:.3g}</text></svg>"
     )
 
 

@@ -1,4 +1,4 @@
-"""RerenderedShapeNet: ShapeNet models rendered again, with other viewpoints, lights and shading than 3D-R2N2's.
+"""RerenderedShapeNet: ShapeNet models rendered again, with other viewpoints, lights and shading.
 
 A network trained on the 3D-R2N2 renderings sees a domain shift in them, while model and pose stay known. The
 output has the layout of the 3D-R2N2 renderings, so `ShapeNet` reads it. Colours are for the networks; the

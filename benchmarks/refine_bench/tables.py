@@ -84,10 +84,10 @@ def tables_markdown(records: Sequence[Record], title: str) -> str:
     if len(methods) > 1:
         parts += _comparisons(averaged, methods, levels)
     for method in methods:
-        for level in levels:
-            chosen = [r for r in averaged if r.method == method and r.level == level]
-            if chosen:
-                parts += [f"## {_named(method)}{', ' + level if level else ''}", by_category(chosen)]
+        own = [r for r in averaged if r.method == method]
+        parts += [f"## {_named(method)}", by_category(own)]
+        for level in levels if len(levels) > 1 else ():
+            parts += [f"### {level}", by_category([r for r in own if r.level == level])]
     if len({r.seed for r in records if r.status == "done"}) > 1:
         parts += ["## Spread over seeds", seed_spread(records)]
     parts += _not_done(records)
@@ -175,8 +175,8 @@ def _legend(records: Sequence[Record]) -> str:
     done = sum(r.status == "done" for r in records)
     return (
         f"{done} results of {len({r.case for r in records})} cases. Before -> after (gain). EMD and CD-l2 "
-        "(x 1000): smaller is better, gain in per cent; F-score (%), volumetric and 2D IoU: larger is better, "
-        "gain as a difference."
+        "(x 1000): smaller is better, gain in per cent; F-score (%), volumetric and 2D IoU: larger is "
+        "better, gain as a difference."
     )
 
 

@@ -23,7 +23,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "run": Command("refine one mesh in this process", "engine"),
     "eval": Command("compare a mesh with the ground truth: EMD, Chamfer-l2, F-score, IoU", "engine"),
-    "bench": Command("refine and score a whole data set", "engine"),
+    "bench": Command("refine and score a whole data set", "bench"),
     "demo": Command("refine the sample through a server started for it", "all"),
     "serve": Command("run everything here: Redis, service and worker", "service"),
     "service": Command("run the REST and gRPC service", "service"),

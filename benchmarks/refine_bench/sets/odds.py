@@ -1,8 +1,8 @@
-"""3D-ODDS, the 3D Object Domain Dataset Suite that was published with REFINE: OOWL (drone), OWILD (in the wild).
+"""3D-ODDS, the 3D Object Domain Dataset Suite published with REFINE: OOWL (drone), OWILD (in the wild).
 
-    **/<DOMAIN>_<Object_Name>_<angle>.png   RGBA, the object in alpha: OOWL_Alta_Dena_Whipped_Cream_Can_090.png
+    **/<DOMAIN>_<Object_Name>_<angle>.png   RGBA, the object in alpha: OOWL_Some_Whipped_Cream_Can_090.png
     **/<Object_Name>.obj                    ground truth
-    ROOT/cameras.json                       {"<image name without .png>": a camera of docs/conventions.md, ...}
+    ROOT/cameras.json                       {"<image name without .png>": a camera of docs/conventions.md}
 
 The names are those of the files that its authors published beside their code; files are found by name in any
 folder, because the published archive is the only description of its folders. Cameras are estimates that each
@@ -38,14 +38,12 @@ class Odds:
     """Domains, such as OOWL; empty: all."""
 
     def cases(self) -> list[Case]:
-        """One case per image, its domain as category; raises SetInvalid when no image has a published name."""
+        """One case per image, its domain as category; SetInvalid when no image has a published name."""
         existing_folder(self.root, "3D-ODDS")
         existing_folder(self.coarse.folder, "the coarse meshes")
         images = {path.stem: path for path in sorted(self.root.rglob("*.png")) if IMAGE.fullmatch(path.stem)}
         if not images:
-            raise SetInvalid(
-                f"expected images such as OOWL_Alta_Dena_Whipped_Cream_Can_090.png below {self.root}, got none"
-            )
+            raise SetInvalid(f"expected images such as OOWL_Some_Can_090.png below {self.root}, got none")
         models = {path.stem: path for path in sorted(self.root.rglob("*.obj"))}
         cameras = self._cameras()
         cases = []

@@ -7,8 +7,8 @@
 
 The camera that drew the masks is at the origin of the axes +X left, +Y up, +Z forward; `rot_mat` and
 `trans_mat` put the model before it, `focal_length` is in mm on a sensor 32 mm wide. `cam_position` and
-`inplane_rotation` describe a camera that looks at the object's centre: the same image up to a homography, so not
-the mask's own pixels. Source: the README of xingyuansun/pix3d.
+`inplane_rotation` describe a camera that looks at the object's centre: the same image up to a homography,
+so not the mask's own pixels. Source: the README of xingyuansun/pix3d.
 
 Models face away from +Z with their left at +X: the symmetry plane is x = 0.
 """

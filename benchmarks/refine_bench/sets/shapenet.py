@@ -6,7 +6,7 @@
 
 A line of metadata: azimuth, elevation, in-plane rotation (degrees), distance / 1.75, and a field of view. The
 camera stands at distance * (cos e cos a, sin e, cos e sin a) of the model's frame (Y up) and looks at the
-origin. Its lens is Blender's default, 35 mm on a 32 mm sensor; the field of view in the file (25) is not used.
+origin. Its lens is Blender's default, 35 mm on a 32 mm sensor; the file's field of view (25) is not used.
 Sources: shapenet/utils/coords.py of Mesh R-CNN, pytorch3d/datasets/r2n2, and Pixel2Mesh's camera_info.
 
 The left and right of ShapeNetCore v1 are +-Z, so the symmetry plane is the paper's z = 0.
@@ -91,9 +91,10 @@ class ShapeNet:
             )
         found = [(synset.name, model.name) for synset in synsets for model in subfolders(synset)]
         chosen = [pair for pair in found if not self.instances or "/".join(pair) in self.instances]
-        chosen += sorted(
-            tuple(name.split("/", 1)) for name in set(self.instances) - {"/".join(p) for p in found}
-        )
+        rendered = {"/".join(pair) for pair in found}
+        for name in sorted(set(self.instances) - rendered):  # of the split, but half downloaded
+            synset, _, model = name.partition("/")
+            chosen.append((synset, model))
         return [
             Case(
                 f"{SYNSETS[synset]}_{model}_{self.view:02}",
@@ -141,7 +142,8 @@ def camera_of_line(line: str, width: int, height: int) -> Camera:
 
 def metadata_line(azimuth_degrees: float, elevation_degrees: float, distance: float) -> str:
     """The inverse of `camera_of_line`; the angle is that of Camera.look_at."""
-    return f"{(90.0 - azimuth_degrees) % 360:.6f} {elevation_degrees:.6f} 0 {distance / MAX_CAMERA_DISTANCE:.6f} 25"
+    azimuth, ratio = (90.0 - azimuth_degrees) % 360.0, distance / MAX_CAMERA_DISTANCE
+    return f"{azimuth:.6f} {elevation_degrees:.6f} 0 {ratio:.6f} 25"
 
 
 def _line(path: Path, number: int) -> str:

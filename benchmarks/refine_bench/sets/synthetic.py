@@ -29,7 +29,7 @@ LOSSY = replace(STRONG, lost_radius=0.14)
 IMAGE_SIDE = 224  # pixels
 FOV_Y_DEGREES = 60.0
 
-# The paper's category -> what makes its two objects, and the category whose mean an out-of-class prediction is.
+# The paper's category -> what makes its two objects, and the category whose mean is predicted out of class.
 CATEGORIES: Mapping[str, tuple[str, str, str]] = {
     "airplane": ("airplane", "airplane", "car"),
     "bench": ("bench", "bench", "sofa"),
