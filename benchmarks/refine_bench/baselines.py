@@ -59,7 +59,7 @@ def optimise(
             total = terms(vertices, sigma)
             confidences.zero_grad()
             total.backward()
-            curve.append(float(total))
+            curve.append(float(total.detach()))
             if curve[-1] < best_total:
                 best_total, best = curve[-1], (vertices.detach().clone(), sigma.detach().clone())
             update(len(curve))
