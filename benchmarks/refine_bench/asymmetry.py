@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from refine_engine import losses
-from refine_engine.cameras import project
 from refine_engine.config import RefineConfig
-from refine_engine.problem import Frame, symmetry_views
+from refine_engine.problem import Frame, SymmetryViews
 from refine_engine.scene import Mesh
-from refine_engine.silhouette import optical_depth, rasterize
+from refine_engine.silhouette import image_symmetry, optical_depth, rasterize
 
 ASYMMETRIC_FROM = 0.01  # "not below 0.01", with sigma = 1 and lambda_B = 1
 LOSS_CONFIDENCE_COST = 1.0  # lambda_B; with sigma = 1 its term ln(1 / sigma) is 0
@@ -21,11 +19,11 @@ def image_asymmetry(mesh: Mesh) -> float:
     config = RefineConfig.paper()
     frame = Frame.of(mesh, config)
     vertices = frame.normalise(mesh.vertices)
-    cameras, reflected, intrinsics = symmetry_views(config, RENDER_SIZE, vertices.device)
-    softness = config.stages[-1].softness
-    screens = [project(vertices, matrices, intrinsics) for matrices in (cameras, reflected)]
+    pairs = SymmetryViews.of(config, RENDER_SIZE, frame.normal).project(vertices)
+    count = len(pairs) // 2
     with torch.no_grad():
-        seen, mirrored = (optical_depth(screen, mesh.faces, RENDER_SIZE, softness) for screen in screens)
-        covered = (rasterize(screens[1], mesh.faces, (RENDER_SIZE, RENDER_SIZE)).face >= 0).float()
-        loss = losses.image_symmetry(seen, mirrored, torch.ones_like(covered), covered, LOSS_CONFIDENCE_COST)
+        depth = optical_depth(pairs, mesh.faces, RENDER_SIZE, config.stages[-1].softness)
+        visible = rasterize(pairs[count:], mesh.faces, (RENDER_SIZE, RENDER_SIZE))
+        full = torch.ones(len(vertices))
+        loss = image_symmetry(depth[:count], depth[count:], visible, mesh.faces, full, LOSS_CONFIDENCE_COST)
     return float(loss)

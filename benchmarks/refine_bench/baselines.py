@@ -4,7 +4,8 @@ adam_step    plain Adam on the displacements
 large_step   Adam on u = (I + lambda L) v with one step size for all, L the uniform Laplacian: Nicolet,
              Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry", SIGGRAPH Asia 2021
 
-The symmetry confidences are free numbers, one per vertex, instead of the network's second head.
+Both start where the network starts, after the fit of the proportions if the config asks for it. The symmetry
+confidences are free numbers, one per vertex, instead of the network's second head.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from scipy.sparse.linalg import SuperLU, splu
 from torch import Tensor
 
 from refine_engine import losses
-from refine_engine.cameras import project
 from refine_engine.config import RefineConfig, Stage
 from refine_engine.errors import Diverged
-from refine_engine.problem import Frame, Target, symmetry_views, unit_normal
+from refine_engine.loop import move_as_a_whole
+from refine_engine.problem import Frame, SymmetryViews, Target
 from refine_engine.scene import Mesh, View
-from refine_engine.silhouette import interpolate, optical_depth, rasterize
+from refine_engine.silhouette import image_symmetry, optical_depth, rasterize
 from refine_engine.symmetry import mirror_matrix, nearest_mirrored
-from refine_engine.topology import Topology, neighbour_sum
+from refine_engine.topology import Topology, neighbour_mean
 
 ADAM_LEARNING_RATE = 1e-3  # normalised lengths per step
 LARGE_STEPS_LEARNING_RATE = 3e-3
@@ -46,7 +47,7 @@ def optimise(
 
     As in the engine, the result is the iterate of the lowest total loss of the last stage.
     """
-    objective = _Objective(mesh, view, config)
+    objective = _Objective(move_as_a_whole(mesh, [view], config), view, config)
     positions, update = step(objective.topology, objective.coarse)
     logit = torch.full((len(mesh.vertices),), CONFIDENCE_START, requires_grad=True)
     confidences = torch.optim.Adam([logit], CONFIDENCE_LEARNING_RATE)
@@ -141,34 +142,29 @@ class _Objective:
         self.frame = Frame.of(mesh, config)
         self.coarse = self.frame.normalise(mesh.vertices)
         self.topology = Topology.of(mesh.faces, len(mesh.vertices))
-        self.mirror = mirror_matrix(unit_normal(config, self.coarse))
+        self.mirror = mirror_matrix(self.frame.normal)
 
     def at(self, stage: Stage) -> Callable[[Tensor, Tensor], Tensor]:
         """The total loss (vertices (V, 3), confidence (V,)) -> () at a stage's image size and softness."""
-        config, faces, side = self.config, self.topology.faces, stage.render_size
+        faces, side, cost = self.topology.faces, stage.render_size, self.config.confidence_cost
         target = Target.of([self.view], self.frame, side)
-        cameras, reflected, intrinsics = symmetry_views(config, side, self.coarse.device)
-        pairs, weights = len(cameras), config.weights
+        pairs = SymmetryViews.of(self.config, side, self.frame.normal)
+        count, weights = len(pairs.intrinsics) // 2, self.config.weights
 
         def total(vertices: Tensor, confidence: Tensor) -> Tensor:
-            seen = project(vertices, target.world_to_camera, target.intrinsics, target.orthographic)
-            both = project(vertices, torch.cat([cameras, reflected]), torch.cat([intrinsics, intrinsics]))
-            depth = optical_depth(torch.cat([seen, both]), faces, side, stage.softness)
-            fragments = rasterize(both[pairs:], faces, (side, side))
-            sigma = interpolate(fragments, faces, confidence)
-            covered = (fragments.face >= 0).float()
-            mean = neighbour_sum(vertices, self.topology) / self.topology.degree
-            cost = config.confidence_cost
+            both = pairs.project(vertices)
+            depth = optical_depth(torch.cat([target.project(vertices), both]), faces, side, stage.softness)
+            visible = rasterize(both[count:], faces, (side, side))
+            seen, mirrored = depth[1 : 1 + count], depth[1 + count :]
             nearest = nearest_mirrored(vertices, self.mirror)
             return (
                 weights.silhouette * losses.silhouette(depth[:1], target.silhouette, target.known)
-                + weights.image_symmetry
-                * losses.image_symmetry(depth[1 : 1 + pairs], depth[1 + pairs :], sigma, covered, cost)
+                + weights.image_symmetry * image_symmetry(seen, mirrored, visible, faces, confidence, cost)
                 + weights.vertex_symmetry
                 * losses.vertex_symmetry(vertices, nearest, self.mirror, confidence, cost)
                 + weights.displacement * losses.displacement(vertices - self.coarse)
                 + weights.normal_consistency * losses.normal_consistency(vertices, self.topology)
-                + weights.laplacian * losses.laplacian(vertices, mean)
+                + weights.laplacian * losses.laplacian(vertices, neighbour_mean(vertices, self.topology))
             )
 
         return total

@@ -13,10 +13,11 @@ from pathlib import Path
 import torch
 
 from refine_engine.errors import RefineError
+from refine_engine.options import PRESETS
 
 from .cases import Case, SetInvalid, read_bytes
 from .coarse_files import FRAMES, CoarseFolder
-from .methods import ABLATION, BASELINES, PLAIN, PRESET_NAMES, Method, make_method, preset_config
+from .methods import ABLATION, BASELINES, PLAIN, Method, ablation, make_method
 from .records import Results
 from .remote import ServerMethod, server_method
 from .report import write_report
@@ -120,10 +121,8 @@ def _draw_figure(results: Results, methods: Sequence[str]) -> None:
 def _methods(options: argparse.Namespace) -> Mapping[str, Method]:
     if options.server:
         return {SERVER: server_method(options.server, options.preset, options.api_key)}
-    config, warning = preset_config(options.preset)
-    if warning:
-        print(f"warning: {warning}", file=sys.stderr)
-    names = ABLATION if options.ablation else options.method or [PLAIN]
+    config = PRESETS[options.preset]()
+    names = ablation(config) if options.ablation else options.method or [PLAIN]
     return {name: make_method(name, config) for name in names}
 
 
@@ -204,7 +203,7 @@ def _parser() -> argparse.ArgumentParser:
 def _common_options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="results (out/bench-SET)")
-    parser.add_argument("--preset", choices=PRESET_NAMES, default="default")
+    parser.add_argument("--preset", choices=tuple(PRESETS), default="default")
     parser.add_argument("--method", action="append", metavar="NAME", help="see below; may be repeated")
     parser.add_argument("--ablation", action="store_true", help="the losses added group by group")
     parser.add_argument("--seeds", type=_positive, default=1, metavar="N", help="runs per case (1)")

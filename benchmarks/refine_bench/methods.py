@@ -15,8 +15,7 @@ from importlib import import_module
 from torch import Tensor
 
 from refine_engine.config import RefineConfig
-from refine_engine.loop import refine
-from refine_engine.options import PRESETS, shorten
+from refine_engine.loop import move_as_a_whole, refine
 from refine_engine.scene import Camera, Mesh
 
 from . import baselines
@@ -24,9 +23,8 @@ from .cases import Case, Scene, SetInvalid
 
 Plugin = Callable[[Mesh, Tensor, Camera], Mesh]
 
-PRESET_NAMES = ("default", "paper", "fast")
-FAST_SHARE = 4  # what `fast` is to cost, as a divisor of the default's iterations, in an engine without it
 PLAIN = "refine"
+PROPORTIONS = "proportions"  # the fit of the whole mesh alone, in presets that have one
 ASYMMETRIC_ONLY = "confidence_cost_1"
 # What is switched off, from nothing but the silhouette to all terms (paper, ablation table).
 WITHOUT: Mapping[str, tuple[str, ...]] = {
@@ -41,12 +39,13 @@ WITHOUT: Mapping[str, tuple[str, ...]] = {
     "vertex_symmetry": ("image_symmetry",),
     "all": (),
 }
-ABLATION = (*WITHOUT, ASYMMETRIC_ONLY)
+ABLATION = (PROPORTIONS, *WITHOUT, ASYMMETRIC_ONLY)
 BASELINES: Mapping[str, baselines.Step] = {
     "vertices_adam": baselines.adam_step,
     "vertices_large_steps": baselines.large_step,
 }
 TITLES: Mapping[str, str] = {
+    PROPORTIONS: "proportions, no network",
     "silhouette": "silhouette only",
     "smoothness": "+ displacement, normal consistency, Laplacian",
     "vertex_symmetry": "+ vertex symmetry",
@@ -71,19 +70,14 @@ class Outcome:
 Method = Callable[[Case, Scene, int], Outcome]  # the int is the seed
 
 
+def ablation(config: RefineConfig) -> list[str]:
+    """The methods of the ablation table of a preset."""
+    return [name for name in ABLATION if name != PROPORTIONS or config.proportions is not None]
+
+
 def applies(method: str, case: Case) -> bool:
     """Whether a case is among those on which a method is measured."""
     return method != ASYMMETRIC_ONLY or case.asymmetric
-
-
-def preset_config(name: str) -> tuple[RefineConfig, str | None]:
-    """The engine's preset, and a warning when this engine has no such preset and another one stands in."""
-    if name in PRESETS:
-        return PRESETS[name](), None
-    config = RefineConfig()
-    iterations = config.iterations // FAST_SHARE
-    warning = f"this engine has no preset {name!r}: its default runs with {iterations} iterations instead"
-    return replace(config, stages=shorten(config.stages, iterations)), warning
 
 
 def make_method(name: str, config: RefineConfig) -> Method:
@@ -93,6 +87,8 @@ def make_method(name: str, config: RefineConfig) -> Method:
     if name in WITHOUT:
         weights = replace(config.weights, **dict.fromkeys(WITHOUT[name], 0.0))
         return _engine(replace(config, weights=weights))
+    if name == PROPORTIONS:
+        return _proportions(config)
     if name == ASYMMETRIC_ONLY:
         return _engine(replace(config, confidence_cost=1.0))
     if name in BASELINES:
@@ -105,6 +101,15 @@ def _engine(config: RefineConfig) -> Method:
         effective = replace(config, seed=seed, symmetry_normal=case.symmetry_normal)
         result = refine(scene.coarse, [scene.view], effective)
         return Outcome(result.mesh, result.seconds, result.confidence, tuple(result.loss_curve["total"]))
+
+    return method
+
+
+def _proportions(config: RefineConfig) -> Method:
+    def method(case: Case, scene: Scene, seed: int) -> Outcome:
+        started = time.monotonic()
+        effective = replace(config, symmetry_normal=case.symmetry_normal)
+        return Outcome(move_as_a_whole(scene.coarse, [scene.view], effective), time.monotonic() - started)
 
     return method
 

@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 
 from refine_bench import baselines
 from refine_bench.cases import Case, Scene, SetInvalid, mesh_of
-from refine_bench.methods import ABLATION, WITHOUT, applies, make_method, preset_config
+from refine_bench.methods import WITHOUT, ablation, applies, make_method
 from refine_bench.remote import ServerMethod
 from refine_engine import RefineConfig, make_artifacts, read_inputs
 from refine_engine.config import Stage
@@ -91,7 +91,9 @@ def test_large_steps_move_smoothly_where_adam_does_not() -> None:
 
 
 def test_ablation_switches_terms_off_group_by_group() -> None:
-    assert list(ABLATION)[:4] == ["silhouette", "smoothness", "vertex_symmetry", "all"]
+    names = ["silhouette", "smoothness", "vertex_symmetry", "all", "confidence_cost_1"]
+    assert ablation(RefineConfig.paper()) == names
+    assert ablation(RefineConfig()) == ["proportions", *names]
     off = [set(WITHOUT[name]) for name in WITHOUT]
     assert all(later < earlier for earlier, later in pairwise(off))
     curves = {
@@ -102,15 +104,6 @@ def test_ablation_switches_terms_off_group_by_group() -> None:
     assert applies("all", case())
     assert not applies("confidence_cost_1", case())
     assert applies("confidence_cost_1", case(asymmetric=True))
-
-
-def test_a_preset_that_the_engine_lacks_is_replaced_with_a_warning() -> None:
-    config, warning = preset_config("paper")
-    assert (config, warning) == (RefineConfig.paper(), None)
-    config, warning = preset_config("no_such_preset")
-    assert config.iterations == RefineConfig().iterations // 4
-    assert warning is not None
-    assert "no preset 'no_such_preset'" in warning
 
 
 def test_a_plugin_gets_mesh_silhouette_and_camera(monkeypatch: pytest.MonkeyPatch) -> None:
