@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -17,6 +16,7 @@ from .cases import Scene
 from .methods import Outcome
 
 SIDE = 168  # pixels of a panel
+MARGIN = 1.35  # of the window around the silhouette
 COLUMNS = ("input", "coarse", "refined", "ground truth", "confidence")
 MISSING, SURPLUS, BOTH = (0.15, 0.35, 0.85), (0.95, 0.5, 0.1), (0.75, 0.75, 0.75)
 
@@ -26,9 +26,10 @@ Picture = NDArray[np.floating[Any]]
 def draw(scene: Scene, outcome: Outcome) -> bytes:
     """PNG, two rows of five panels. Above: as the input camera sees it. Below: from the side, and under the
     input its silhouette against the refined one (grey both, blue only the input, orange only the refined)."""
-    front = _square(scene.view.camera)
+    window = Window.around(scene.view.silhouette)
+    front = window.camera(scene.view.camera)
     side = side_camera(front, scene.ground_truth or scene.coarse, SIDE)
-    mask = _fit(scene.view.silhouette).numpy() > 0.5
+    mask = window.crop(scene.view.silhouette)
     refined = (hard_render(outcome.mesh, front).face[0] >= 0).numpy()
     rows = []
     for camera, given in ((front, _mask_picture(mask)), (side, _difference(mask, refined))):
@@ -38,29 +39,43 @@ def draw(scene: Scene, outcome: Outcome) -> bytes:
     return encode(np.concatenate(rows, 0))
 
 
-def _square(camera: Camera) -> Camera:
-    """The camera with its image padded to a square and scaled to a panel."""
-    longest = max(camera.width, camera.height)
-    scale = SIDE / longest
-    left, top = (longest - camera.width) / 2, (longest - camera.height) / 2
-    return replace(
-        camera,
-        fx=camera.fx * scale,
-        fy=camera.fy * scale,
-        cx=(camera.cx + left) * scale,
-        cy=(camera.cy + top) * scale,
-        width=SIDE,
-        height=SIDE,
-    )
+@dataclass(frozen=True)
+class Window:
+    """The square of the input image that a panel shows, in its pixels; it may reach beyond the image."""
 
+    left: float
+    top: float
+    side: float
 
-def _fit(silhouette: Tensor) -> Tensor:
-    """The silhouette padded and scaled like the camera."""
-    height, width = silhouette.shape
-    longest = max(height, width)
-    left, top = (longest - width) // 2, (longest - height) // 2
-    padded = torch.nn.functional.pad(silhouette, (left, longest - width - left, top, longest - height - top))
-    return torch.nn.functional.interpolate(padded[None, None], (SIDE, SIDE), mode="area")[0, 0]
+    @staticmethod
+    def around(silhouette: Tensor) -> Window:
+        """The object with a margin, because the coarse mesh is in other places."""
+        rows, columns = (silhouette > 0.5).nonzero().T
+        ends = [float(value) for value in (columns.min(), columns.max() + 1, rows.min(), rows.max() + 1)]
+        side = MARGIN * max(ends[1] - ends[0], ends[3] - ends[2])
+        return Window((ends[0] + ends[1] - side) / 2, (ends[2] + ends[3] - side) / 2, side)
+
+    def camera(self, camera: Camera) -> Camera:
+        """The camera whose image is the window, SIDE pixels wide."""
+        scale = SIDE / self.side
+        return replace(
+            camera,
+            fx=camera.fx * scale,
+            fy=camera.fy * scale,
+            cx=(camera.cx - self.left) * scale,
+            cy=(camera.cy - self.top) * scale,
+            width=SIDE,
+            height=SIDE,
+        )
+
+    def crop(self, silhouette: Tensor) -> NDArray[np.bool_]:
+        """The object in the window (SIDE, SIDE), nearest pixel; nothing outside the image."""
+        steps = (np.arange(SIDE) + 0.5) * self.side / SIDE
+        row, column = np.floor(self.top + steps).astype(int), np.floor(self.left + steps).astype(int)
+        height, width = silhouette.shape
+        inside = ((row >= 0) & (row < height))[:, None] & ((column >= 0) & (column < width))
+        image = silhouette.numpy() > 0.5
+        return np.asarray(inside & image[row.clip(0, height - 1)][:, column.clip(0, width - 1)])
 
 
 def _shaded(mesh: Mesh | None, camera: Camera) -> Picture:

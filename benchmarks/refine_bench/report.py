@@ -47,7 +47,9 @@ def write_report(folder: Path, records: Sequence[Record], title: str, tables: st
         "<!doctype html><html lang='en'><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
         f"<title>{html.escape(title)}</title><style>{STYLE}</style><h1>{html.escape(title)}</h1>",
-        f"<img alt='Chamfer-l2 before and after' src='{_inline(figure)}'>" if figure.exists() else "",
+        f"<details><summary>Figure</summary><img alt='before and after' src='{_inline(figure)}'></details>"
+        if figure.exists()
+        else "",
         f"<details><summary>Tables</summary><pre>{html.escape(tables)}</pre></details>",
         f"<p class='note'>{len(done)} results, the worst first. {LEGEND}</p>",
         *(_case(folder, record) for record in done),

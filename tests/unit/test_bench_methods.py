@@ -117,7 +117,7 @@ def test_a_plugin_gets_mesh_silhouette_and_camera(monkeypatch: pytest.MonkeyPatc
     outcome = make_method("my_method:grow", SHORT)(case(), scene(), 0)
     assert silhouette_iou(outcome.mesh, scene().view) > 0.99
     for wrong in ("my_method:shrink", "no_such_module:f", "nonsense"):
-        with pytest.raises(SetInvalid, match="expected a method among refine, silhouette"):
+        with pytest.raises(SetInvalid, match="expected a method among refine, proportions, silhouette"):
             make_method(wrong, SHORT)
 
 
