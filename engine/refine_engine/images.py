@@ -34,6 +34,8 @@ def read_silhouette(data: bytes, threshold: float = DEFAULT_THRESHOLD) -> Tensor
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
             level = _level(image)
+    except MemoryError:  # no fault of the file
+        raise
     except Exception as error:  # a decoder may fail in any way on damaged bytes
         raise SilhouetteInvalid(f"damaged PNG file: {one_line(error)}") from error
     silhouette = level > threshold

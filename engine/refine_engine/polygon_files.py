@@ -34,6 +34,8 @@ def read_polygons(data: bytes, kind: str, limits: MeshLimits) -> Document:
     try:
         with np.errstate(all="ignore"):  # a colour that is NaN must not cost the mesh
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False)
+    except MemoryError:  # no fault of the file
+        raise
     except Exception as error:  # a parser may fail in any way on damaged bytes
         raise MeshInvalid(f"damaged {kind.upper()} file: {one_line(error)}") from error
     geometries = [g for g in scene.geometry.values() if isinstance(g, trimesh.Trimesh) and len(g.faces)]
