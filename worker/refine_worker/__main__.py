@@ -1,0 +1,7 @@
+"""`python -m refine_worker`: the same as `refine worker`."""
+
+import sys
+
+from .supervisor import worker_command
+
+sys.exit(worker_command(sys.argv[1:]))

@@ -1,0 +1,105 @@
+"""What a slot and its engine process say to each other: JSON over a pipe, so nobody unpickles.
+
+slot                      engine
+      <- Ready                    once, after the warm-up
+Run   ->
+      <- StageStarted, Progressed ...
+Cancel ->                         at any time while it runs
+      <- Done or Failed           once for each Run
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from multiprocessing.connection import Connection
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from refine_proto.models import Artifact, Progress, RefinementSpec, SilhouetteIou
+
+MAX_BYTES = 2**20  # of one message; files go through the blob store
+
+
+class Stage(StrEnum):
+    """What the engine is doing with a job."""
+
+    FETCH = "fetch"  # the files from the blob store
+    READ = "read"  # parse and check them: the only untrusted bytes
+    REFINE = "refine"
+    STORE = "store"  # make the artifacts and put them into the blob store
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+
+class Run(_Message):
+    """Refine the files of a job."""
+
+    type: Literal["run"] = "run"
+    job_id: str
+    attempt: int
+    spec: RefinementSpec
+    log_fields: dict[str, str] = {}
+
+
+class Cancel(_Message):
+    """Stop after the current iteration."""
+
+    type: Literal["cancel"] = "cancel"
+
+
+class Ready(_Message):
+    """Loaded and compiled."""
+
+    type: Literal["ready"] = "ready"
+    seconds: float
+
+
+class StageStarted(_Message):
+    type: Literal["stage_started"] = "stage_started"
+    stage: Stage
+
+
+class Progressed(_Message):
+    type: Literal["progressed"] = "progressed"
+    progress: Progress
+
+
+class Done(_Message):
+    """The artifacts are in the blob store."""
+
+    type: Literal["done"] = "done"
+    artifacts: tuple[Artifact, ...]
+    silhouette_iou: SilhouetteIou
+
+
+class Failed(_Message):
+    """No result; `reason` is one of refine_proto.errors."""
+
+    type: Literal["failed"] = "failed"
+    reason: str
+    detail: str
+    replace_engine: bool = False  # the process may be damaged
+
+
+ToEngine = Run | Cancel
+FromEngine = Ready | StageStarted | Progressed | Done | Failed
+_TO_ENGINE: TypeAdapter[ToEngine] = TypeAdapter(Annotated[ToEngine, Field(discriminator="type")])
+_FROM_ENGINE: TypeAdapter[FromEngine] = TypeAdapter(Annotated[FromEngine, Field(discriminator="type")])
+
+
+def send(connection: Connection, message: ToEngine | FromEngine) -> None:
+    """Raises OSError when the other side is gone."""
+    connection.send_bytes(message.model_dump_json(exclude_none=True).encode())
+
+
+def receive_in_slot(connection: Connection) -> FromEngine:
+    """Wait for a message of the engine; raises EOFError or OSError when it is gone."""
+    return _FROM_ENGINE.validate_json(connection.recv_bytes(MAX_BYTES))
+
+
+def receive_in_engine(connection: Connection) -> ToEngine:
+    """Wait for a message of the slot; raises EOFError or OSError when it is gone."""
+    return _TO_ENGINE.validate_json(connection.recv_bytes(MAX_BYTES))

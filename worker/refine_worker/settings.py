@@ -1,0 +1,32 @@
+"""REFINE_* settings of the worker. Built once in each process's `main` and passed down."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from refine_jobs.settings import EnvironmentSettings
+
+
+class WorkerSettings(EnvironmentSettings):
+    """How many slots there are, and how patient they are."""
+
+    devices: str = Field(
+        "auto", description="auto, cpu, cuda (all) or cuda:0,cuda:1; auto: all CUDA devices, else cpu."
+    )
+    slots_per_device: int | None = Field(
+        None, ge=1, description="Jobs at a time on one device; unset: 4 on CUDA, else cores / threads."
+    )
+    threads_per_slot: int | None = Field(
+        None, ge=1, description="CPU threads of one job; unset: 1 on the CPU, cores / slots on CUDA."
+    )
+    jobs_per_engine: int = Field(200, ge=1, description="An engine process is replaced after so many jobs.")
+    start_timeout_s: float = Field(300, gt=0, description="For loading and warming up an engine process.")
+    read_timeout_s: float = Field(120, gt=0, description="For reading the mesh and the silhouette of a job.")
+    read_memory_bytes: int = Field(8 * 2**30, gt=0, description="What reading them may allocate (Linux).")
+    stall_timeout_s: float = Field(600, gt=0, description="Without any progress for so long, a job has hung.")
+    cancel_grace_s: float = Field(
+        1.2, ge=0, description="From asking an engine process to stop to killing it."
+    )
+    stop_grace_s: float = Field(
+        25, ge=0, description="From SIGTERM to giving a running job back; keep it below the container's."
+    )

@@ -1,0 +1,80 @@
+"""The task: what a slot does with one job.
+
+    claim -> the engine process reads the blobs, refines, writes the artifacts -> finish or fail
+
+The record in the job store is the truth; RQ only brings the id. Every end of the engine process, good or bad,
+becomes an end of the job here, and the slot lives on.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from functools import partial
+
+from redis.exceptions import RedisError
+
+from refine_jobs.record import Job
+from refine_jobs.worker_store import LeaseLost
+from refine_proto.errors import Cancelled, Internal, RefineError
+
+from .attempt import Attempt, Stopped
+from .slot import SLOT, Slot
+
+_WRITE_FOR_S = 60.0  # how long a slot tries to write the end of a job while Redis is away
+_WRITE_PAUSE_S = 1.0
+
+log = logging.getLogger(__name__)
+
+
+def run(job_id: str) -> None:
+    """Refine one job in this process's slot. What goes wrong with the job is written into its record."""
+    slot = SLOT.get()
+    job = slot.store.claim(job_id, slot.name)
+    if job is None:
+        log.info("job %s is not queued any more", job_id)
+        return
+    with slot.busy_with(job):
+        started = time.monotonic()
+        log.info("started")
+        try:
+            _persist(_work(slot, job))
+        except LeaseLost as error:
+            log.warning("%s; its result is dropped", error)
+        log.info("ended", extra={"run_s": round(time.monotonic() - started, 3)})
+
+
+def _work(slot: Slot, job: Job) -> Callable[[], object]:
+    """Do the job; how its end is to be written. Raises LeaseLost."""
+    failure: RefineError
+    try:
+        done = Attempt(slot, job).follow()
+        return partial(slot.store.finish, job, done.artifacts, done.silhouette_iou)
+    except LeaseLost:
+        raise
+    except Cancelled:
+        return partial(slot.store.cancelled, job)
+    except (Stopped, SystemExit) as stop:
+        return partial(slot.store.give_back, job, str(stop))
+    except RefineError as error:
+        failure = error
+    except Exception as error:
+        log.exception("the slot failed")
+        failure = Internal(f"the worker failed ({type(error).__name__}); please report the request id")
+    log.warning("failed: %s: %s", failure.reason, failure.detail)
+    return partial(slot.store.fail, job, failure)
+
+
+def _persist(write: Callable[[], object]) -> None:
+    """Write, also when Redis is away for a while. The fence of the lease makes a second try harmless."""
+    give_up_at = time.monotonic() + _WRITE_FOR_S
+    while True:
+        try:
+            write()
+            return
+        except RedisError as error:
+            if time.monotonic() > give_up_at:
+                raise
+            log.warning("the end of the job is not written yet: %s", error)
+            time.sleep(_WRITE_PAUSE_S)
