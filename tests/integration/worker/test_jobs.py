@@ -1,0 +1,191 @@
+"""Jobs through one warm slot; and nothing that goes wrong with a job costs the slot."""
+
+from __future__ import annotations
+
+import json
+import signal
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+from rq import Queue
+from rq.serializers import JSONSerializer
+
+from refine_jobs import keys
+from refine_jobs.connection import connect_for_rq
+from refine_jobs.record import decode_event
+from refine_jobs.slots import SlotState
+from refine_proto.models import EventType, State
+
+if TYPE_CHECKING:
+    from refine_jobs.record import Job
+
+    from .conftest import Worker, Workplace
+
+LONG = 10_000  # iterations; nobody waits for their end
+
+
+def assert_succeeds(workplace: Workplace, job_id: str) -> Job:
+    job = workplace.ended(job_id)
+    assert job.state is State.SUCCEEDED, job.error
+    return job
+
+
+def assert_fails(workplace: Workplace, job_id: str, reason: str) -> str:
+    """The detail of the error."""
+    job = workplace.ended(job_id)
+    assert (job.state, job.error and job.error.reason) == (State.FAILED, reason), job.error
+    assert job.error
+    return job.error.detail
+
+
+def test_a_job_succeeds_with_all_artifacts(worker: Worker, workplace: Workplace) -> None:
+    job_id = workplace.submit(iterations=12, seed=3)
+    assert workplace.refining(job_id).slot == worker.slots()[0].name
+    assert (worker.slots()[0].state, worker.slots()[0].job_id) == (SlotState.BUSY, job_id)
+    job = assert_succeeds(workplace, job_id)
+    assert [artifact.name for artifact in job.artifacts] == list(keys.ARTIFACTS)
+    for artifact in job.artifacts:
+        assert artifact.media_type == keys.ARTIFACTS[artifact.name]
+        stored = workplace.blobs.get(keys.artifact_blob(job_id, 1, artifact.name))
+        assert artifact.size_bytes == len(stored)
+    report = json.loads(workplace.blobs.get(keys.artifact_blob(job_id, 1, "report.json")))
+    assert sum(stage["iterations"] for stage in report["config"]["stages"]) == 12
+    assert report["config"]["seed"] == 3
+    assert job.silhouette_iou is not None
+    assert job.silhouette_iou.model_dump() == report["silhouette_iou"]
+
+
+def test_progress_tells_where_the_job_is(worker: Worker, workplace: Workplace) -> None:
+    job_id = workplace.submit(iterations=30)
+    job = assert_succeeds(workplace, job_id)
+    assert job.started_at is not None
+    assert job.finished_at is not None
+    stream = workplace.redis.xrange(keys.EVENTS + job_id)
+    events = [event for event in map(decode_event, stream) if event.type is EventType.PROGRESS]
+    assert 2 <= len(events) <= 2 * (job.finished_at - job.started_at).total_seconds() + 1  # the last one
+    progress = [event.progress for event in events if event.progress]
+    assert [p.iteration for p in progress] == sorted({p.iteration for p in progress})
+    for p in progress:
+        assert p.total == 30
+        assert p.percent == pytest.approx(100 * p.iteration / 30, abs=0.1)
+        assert {"silhouette", "total"} <= set(p.losses)
+        assert 0 < p.silhouette_iou < 1
+    assert all(p.eta_s is not None for p in progress if p.iteration > 1)
+    assert (progress[-1].iteration, progress[-1].eta_s) == (30, 0)
+
+
+def test_a_second_job_finds_the_engine_warm(worker: Worker, workplace: Workplace) -> None:
+    before = worker.engine_pids()
+    for _ in range(2):
+        assert_succeeds(workplace, workplace.submit(iterations=4))
+    assert worker.engine_pids() == before
+    assert psutil.pid_exists(before[-1])
+
+
+def test_logs_carry_the_ids_of_the_request(worker: Worker, workplace: Workplace) -> None:
+    job_id = workplace.submit(iterations=4)
+    assert_succeeds(workplace, job_id)
+    lines = [line for line in worker.logs if line.get("job_id") == job_id]
+    assert {"started", "ended"} <= {line["message"] for line in lines}
+    for line in lines:
+        assert line["request_id"] == workplace.REQUEST_ID
+        assert line["trace_id"] == workplace.TRACE_ID
+        assert line["slot"] == worker.slots()[0].name
+
+
+@pytest.mark.parametrize(
+    ("mesh", "reason"),
+    [
+        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "MESH_INVALID"),
+        (b"v 90 90 90\nv 91 90 90\nv 90 91 90\nf 1 2 3\n", "OBJECT_OUT_OF_VIEW"),
+    ],
+)
+def test_a_bad_mesh_fails_with_the_engines_reason(
+    worker: Worker, workplace: Workplace, mesh: bytes, reason: str
+) -> None:
+    before = worker.engine_pids()
+    assert "expected" in assert_fails(workplace, workplace.submit(mesh), reason)
+    assert worker.engine_pids() == before
+
+
+def test_files_that_are_gone_fail_the_job(worker: Worker, workplace: Workplace) -> None:
+    slot = worker.slot_pid()
+    busy = workplace.submit(iterations=LONG)
+    job_id = workplace.submit(iterations=4)
+    workplace.blobs.delete_folder(keys.blob_folder(job_id))
+    workplace.cancel(busy)
+    detail = assert_fails(workplace, job_id, "INTERNAL")
+    assert "BlobNotFound" in detail
+    assert str(workplace.settings.data_folder) not in detail
+    assert worker.slot_pid() == slot
+
+
+def test_a_running_job_is_cancelled_between_iterations(worker: Worker, workplace: Workplace) -> None:
+    before = worker.engine_pids()
+    job_id = workplace.submit(iterations=LONG)
+    workplace.refining(job_id)
+    workplace.cancel(job_id)
+    assert workplace.ended(job_id).state is State.CANCELLED
+    assert_succeeds(workplace, workplace.submit(iterations=4))
+    assert worker.engine_pids() == before
+
+
+def test_an_engine_that_does_not_stop_is_killed(worker: Worker, workplace: Workplace) -> None:
+    before = worker.engine_pids()
+    job_id = workplace.submit(iterations=LONG)
+    workplace.refining(job_id)
+    psutil.Process(before[-1]).suspend()
+    workplace.cancel(job_id)
+    assert workplace.ended(job_id).state is State.CANCELLED
+    assert_succeeds(workplace, workplace.submit(iterations=4))
+    assert worker.engine_pids()[:-1] == before
+
+
+@pytest.mark.parametrize(
+    ("number", "reason"), [(signal.SIGKILL, "WORKER_LOST"), (signal.SIGSEGV, "INTERNAL")]
+)
+def test_an_engine_that_dies_fails_the_job_and_is_replaced(
+    worker: Worker, workplace: Workplace, number: signal.Signals, reason: str
+) -> None:
+    slot, before = worker.slot_pid(), worker.engine_pids()
+    job_id = workplace.submit(iterations=LONG)
+    workplace.refining(job_id)
+    psutil.Process(before[-1]).send_signal(number)
+    assert number.name in assert_fails(workplace, job_id, reason)
+    assert_succeeds(workplace, workplace.submit(iterations=4))
+    assert worker.slot_pid() == slot
+    assert worker.engine_pids()[:-1] == before
+
+
+def test_a_hang_ends_at_the_deadline(worker: Worker, workplace: Workplace) -> None:
+    slot, before = worker.slot_pid(), worker.engine_pids()
+    job_id = workplace.submit(iterations=LONG, timeout_s=4)
+    workplace.refining(job_id)
+    psutil.Process(before[-1]).suspend()
+    assert "4 s" in assert_fails(workplace, job_id, "DEADLINE_EXCEEDED")
+    assert_succeeds(workplace, workplace.submit(iterations=4))
+    assert worker.slot_pid() == slot
+    assert not psutil.pid_exists(before[-1])
+
+
+def test_only_our_task_is_run(worker: Worker, workplace: Workplace) -> None:
+    slot = worker.slot_pid()
+    victim = workplace.settings.data_folder / "victim"
+    victim.touch()
+    with connect_for_rq(workplace.environment["REFINE_REDIS_URL"]) as connection:
+        queue = Queue(keys.queue("default"), connection=connection, serializer=JSONSerializer)
+        queue.enqueue("os.remove", str(victim))
+    assert_succeeds(workplace, workplace.submit(iterations=4))
+    assert victim.exists()
+    assert worker.slot_pid() == slot
+
+
+def test_secrets_stay_where_they_are_needed(worker: Worker, workplace: Workplace) -> None:
+    url = workplace.environment["REFINE_REDIS_URL"]
+    for process in worker.tree():
+        assert url not in " ".join(process.cmdline())
+    engine = psutil.Process(worker.engine_pids()[-1])
+    assert url not in engine.environ().values()
+    assert engine.environ()["OMP_NUM_THREADS"] == engine.environ()["NUMBA_NUM_THREADS"] == "1"
+    assert all(url not in json.dumps(line) for line in worker.logs)
