@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import uuid
-from collections.abc import AsyncIterable, AsyncIterator, Iterator
+from collections.abc import AsyncGenerator, AsyncIterable, Iterator
 from dataclasses import dataclass
 
 import obstore
@@ -86,7 +86,7 @@ class BlobStore:
         except FileNotFoundError:
             raise BlobNotFound(name) from None
 
-    async def stream(self, name: str, start: int = 0, stop: int | None = None) -> AsyncIterator[bytes]:
+    async def stream(self, name: str, start: int = 0, stop: int | None = None) -> AsyncGenerator[bytes, None]:
         """Bytes from `start` to before `stop` (default: the end) in chunks; raises BlobNotFound first."""
         chunks = await asyncio.to_thread(self._open, name, start, stop)
         while (chunk := await asyncio.to_thread(next, chunks, None)) is not None:
