@@ -18,6 +18,7 @@ from obstore.store import LocalStore, ObjectStore, S3Store
 CHUNK_BYTES = 64 * 1024
 # S3 takes parts of at least 5 MiB; one part at a time bounds the memory of an upload.
 PART_BYTES = 5 * 1024 * 1024
+WRITE_BYTES = 1024 * 1024  # goes to a thread at once
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class BlobStore:
             digest.update(chunk)
             size += len(chunk)
             pending += chunk
-            if len(pending) >= PART_BYTES:
+            if len(pending) >= WRITE_BYTES:
                 writer = writer or obstore.open_writer(
                     self._store, name, buffer_size=PART_BYTES, max_concurrency=1
                 )

@@ -18,6 +18,7 @@ from refine_proto.models import Artifact, Refinement
 
 from .edge import COLLECTION, Edge
 from .openapi import NOT_MODIFIED, PART, WHOLE, problems
+from .problems import problem_response
 from .rest_calls import Found, the_edge
 
 _RANGE = re.compile(r"bytes=(?:(\d{1,18})-(\d{0,18})|-(\d{1,18}))")
@@ -62,7 +63,13 @@ async def artifact_response(
     if _matches(headers.get("if-none-match", ""), etag):
         return Response(status_code=304, headers=answer)
     wanted = headers.get("range") if headers.get("if-range", etag) == etag else None
-    return await _part(edge, refinement, artifact, _span(wanted, artifact.size_bytes), answer)
+    try:
+        span = _span(wanted, artifact.size_bytes)
+    except RangeNotSatisfiable as error:
+        response = problem_response(error)
+        response.headers["Content-Range"] = f"bytes */{artifact.size_bytes}"
+        return response
+    return await _part(edge, refinement, artifact, span, answer)
 
 
 def find_artifact(refinement: Refinement, name: str) -> Artifact:

@@ -75,11 +75,11 @@ class Service:
         """The lines of its log."""
         return [json.loads(line) for line in self.log_path.read_text().splitlines()]
 
-    def memory_bytes(self) -> int:
-        """Resident memory now, by its own metric."""
-        text = httpx.get(f"{self.rest_url}/metrics").text
-        name = "process_resident_memory_bytes "
-        return int(float(next(x for x in text.splitlines() if x.startswith(name)).removeprefix(name)))
+    def peak_memory_bytes(self) -> int:
+        """The most resident memory it ever had (Linux)."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        kib = next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))
+        return int(kib) * 1024
 
 
 @contextmanager
@@ -118,6 +118,7 @@ class Hand:
 
     def __init__(self, redis: Redis, data_folder: Path) -> None:
         settings = JobSettings(data_folder=data_folder)
+        self.redis = redis
         self.store = WorkerStore(redis, settings)
         self.blobs = BlobStore(settings.blob_location)
 
@@ -151,6 +152,12 @@ class Hand:
         job = self.start(refinement_id)
         self.finish(job, contents)
         return job
+
+    def expire(self, refinement_id: str) -> None:
+        """Let its lifetime be over."""
+        self.redis.hset(keys.JOB + refinement_id, "expires_ms", "1")
+        self.redis.zadd(keys.EXPIRY, {refinement_id: 1})
+        assert self.store.expire() == [refinement_id]
 
     def show_slot(self) -> None:
         self.store.show(SlotStatus(name="slot-0", device="cpu", state=SlotState.IDLE))

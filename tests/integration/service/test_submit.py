@@ -186,10 +186,10 @@ def post_and_run(rest: httpx.Client, hand: Hand, headers: dict[str, str], act: s
 
     def work() -> None:
         deadline = time.monotonic() + 30
-        while not (queued := hand.store._redis.zrange(keys.QUEUED, 0, -1)):
+        while not (queued := hand.redis.zrange(keys.QUEUED, 0, -1)):
             assert time.monotonic() < deadline
             time.sleep(0.02)
-        job = hand.start(queued[0])
+        job = hand.start(str(queued[0]))
         if act == "finish":
             hand.finish(job, {"refined.glb": b"glTF refined", "report.json": b"{}"})
         else:
