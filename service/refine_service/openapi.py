@@ -83,7 +83,6 @@ EVENTS: dict[str, Any] = {
     "description": "Server-sent events; `event` is the type, `id` the sequence, `data` an Event.",
     "content": {
         "text/event-stream": {
-            "schema": {"type": "string"},
             "example": 'event: state\ndata: {"sequence": 1, "state": "queued", ...}\nid: 1\n\n',
         }
     },
