@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import uuid
-from collections.abc import AsyncIterable, AsyncIterator, Iterator
+from collections.abc import AsyncGenerator, AsyncIterable, Iterator
 from dataclasses import dataclass
 
 import obstore
@@ -18,6 +18,7 @@ from obstore.store import LocalStore, ObjectStore, S3Store
 CHUNK_BYTES = 64 * 1024
 # S3 takes parts of at least 5 MiB; one part at a time bounds the memory of an upload.
 PART_BYTES = 5 * 1024 * 1024
+WRITE_BYTES = 1024 * 1024  # goes to a thread at once
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class BlobStore:
             digest.update(chunk)
             size += len(chunk)
             pending += chunk
-            if len(pending) >= PART_BYTES:
+            if len(pending) >= WRITE_BYTES:
                 writer = writer or obstore.open_writer(
                     self._store, name, buffer_size=PART_BYTES, max_concurrency=1
                 )
@@ -86,7 +87,7 @@ class BlobStore:
         except FileNotFoundError:
             raise BlobNotFound(name) from None
 
-    async def stream(self, name: str, start: int = 0, stop: int | None = None) -> AsyncIterator[bytes]:
+    async def stream(self, name: str, start: int = 0, stop: int | None = None) -> AsyncGenerator[bytes, None]:
         """Bytes from `start` to before `stop` (default: the end) in chunks; raises BlobNotFound first."""
         chunks = await asyncio.to_thread(self._open, name, start, stop)
         while (chunk := await asyncio.to_thread(next, chunks, None)) is not None:

@@ -10,7 +10,7 @@ import base64
 import binascii
 import hashlib
 import secrets
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from dataclasses import dataclass
 from typing import Any
 
@@ -186,7 +186,7 @@ class JobStore:
             next_cursor=_cursor(int(found[limit - 1][1])) if len(found) > limit else None,
         )
 
-    async def watch(self, owner: str, job_id: str, after_sequence: int = 0) -> AsyncIterator[Event]:
+    async def watch(self, owner: str, job_id: str, after_sequence: int = 0) -> AsyncGenerator[Event, None]:
         """The events after a sequence number, past and to come; ends after the completed one.
 
         Raises NotFound and Expired on the first step.

@@ -1,0 +1,158 @@
+"""Who calls: bearer API keys, and how many calls of one key are let through.
+
+Keys live in a file, not in Redis: `refine keys` works before anything runs, sign-in does not depend on Redis,
+who can write jobs cannot make keys, and several services share the file as a mounted secret. A key has 256
+random bits, so one SHA-256 protects it; the file holds nothing that signs in.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import secrets
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from refine_proto.errors import QuotaExceeded, Unauthenticated
+
+ANONYMOUS = "anonymous"  # the owner of what is submitted without a key
+_BURST_S = 2.0  # a key that was quiet may make the calls of this long at once
+
+
+class ApiKey(BaseModel):
+    """What is kept of a key."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: str
+    owner: str = Field(pattern=r"^[A-Za-z0-9._@-]{1,64}$")
+    sha256: str
+    created_at: datetime
+
+
+class _File(BaseModel):
+    keys: list[ApiKey] = []
+
+
+class KeysFileInvalid(Exception):
+    """The file of keys cannot be read; the message says why."""
+
+
+class ApiKeys:
+    """The keys in a file, read again when it has changed."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._version: tuple[int, int, int] | None = None
+        self._owners: dict[str, str] = {}  # by sha256
+
+    def all(self) -> list[ApiKey]:
+        """Every key, oldest first."""
+        try:
+            return _File.model_validate_json(self._path.read_bytes()).keys
+        except FileNotFoundError:
+            return []
+        except ValidationError as error:
+            raise KeysFileInvalid(
+                f"expected a file written by `refine keys`, {self._path}: {error}"
+            ) from error
+
+    def add(self, owner: str) -> tuple[ApiKey, str]:
+        """A new key of `owner`: what is kept, and the key itself, which nobody can show again."""
+        secret = f"refine_{secrets.token_urlsafe(32)}"
+        digest = _sha256(secret)
+        key = ApiKey(id=digest[:12], owner=owner, sha256=digest, created_at=datetime.now(UTC))
+        with self._locked():
+            self._write([*self.all(), key])
+        return key, secret
+
+    def revoke(self, key_id: str) -> bool:
+        """Whether there was a key with this id; running services refuse it from now on."""
+        with self._locked():
+            before = self.all()
+            kept = [key for key in before if key.id != key_id]
+            self._write(kept)
+        return len(kept) < len(before)
+
+    def owner_of(self, secret: str) -> str | None:
+        """The owner of a key, or None."""
+        self._refresh()
+        return self._owners.get(_sha256(secret))
+
+    def _refresh(self) -> None:
+        try:
+            stat = self._path.stat()
+        except FileNotFoundError:
+            self._version, self._owners = None, {}
+            return
+        version = (stat.st_mtime_ns, stat.st_size, stat.st_ino)
+        if version != self._version:
+            self._owners = {key.sha256: key.owner for key in self.all()}
+            self._version = version
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def _write(self, keys: list[ApiKey]) -> None:
+        with tempfile.NamedTemporaryFile("w", dir=self._path.parent, delete=False) as file:  # mode 0600
+            file.write(_File(keys=keys).model_dump_json(indent=2))
+        os.replace(file.name, self._path)
+
+
+class CallRate:
+    """A token bucket per owner, in this process."""
+
+    def __init__(self, calls_per_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate = calls_per_s
+        self._capacity = max(1.0, calls_per_s * _BURST_S)
+        self._clock = clock
+        self._buckets: dict[str, tuple[float, float]] = {}  # owner -> tokens left, at this time
+
+    def take(self, owner: str) -> None:
+        """Let one call through or raise QuotaExceeded."""
+        now = self._clock()
+        tokens, since = self._buckets.get(owner, (self._capacity, now))
+        tokens = min(self._capacity, tokens + (now - since) * self._rate)
+        if tokens < 1:
+            raise QuotaExceeded(
+                f"expected at most {self._rate:g} calls per second with this key, got more; slow down",
+                retry_after_s=(1 - tokens) / self._rate,
+            )
+        self._buckets[owner] = (tokens - 1, now)
+
+
+class Auth:
+    """Turns the Authorization header into an owner."""
+
+    def __init__(self, keys: ApiKeys, rate: CallRate, required: bool) -> None:
+        self._keys, self._rate, self._required = keys, rate, required
+
+    def owner(self, authorization: str | None) -> str:
+        """The owner of the key; raises Unauthenticated and QuotaExceeded. A wrong key is never anonymous."""
+        if not authorization and not self._required:
+            return ANONYMOUS
+        scheme, _, secret = (authorization or "").partition(" ")
+        if scheme.lower() != "bearer" or not secret:
+            raise Unauthenticated(
+                "expected the header `Authorization: Bearer <API key>`; ask the operator for a key"
+            )
+        owner = self._keys.owner_of(secret.strip())
+        if owner is None:
+            raise Unauthenticated("expected a valid API key, got an unknown or revoked one")
+        self._rate.take(owner)
+        return owner
+
+
+def _sha256(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()

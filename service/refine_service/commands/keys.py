@@ -1,0 +1,38 @@
+"""`refine keys`: make, show and revoke API keys."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from refine_jobs.settings import JobSettings
+
+from ..auth import ApiKeys
+from ..settings import ServiceSettings
+from .common import FAILED, command, environment, make_parser
+
+
+@command
+def keys_command(argv: Sequence[str]) -> int:
+    """add OWNER, list, revoke ID. Running services see the change at once."""
+    parser = make_parser("keys", "Make, show and revoke API keys. A key is shown once, when it is made.")
+    parser.add_argument("--keys-file", metavar="FILE", help="unset: keys.json in the data folder")
+    actions = parser.add_subparsers(dest="action", required=True)
+    actions.add_parser("add", help="make a key").add_argument("owner", help="whose jobs it reaches")
+    actions.add_parser("list", help="show ids, owners and dates")
+    actions.add_parser("revoke", help="refuse a key from now on").add_argument("id", help="as shown by list")
+    arguments = parser.parse_args(argv)
+    values = environment(arguments)
+    settings = ServiceSettings.from_environment(values)
+    keys = ApiKeys(settings.keys_path(JobSettings.from_environment(values).data_folder))
+    if arguments.action == "add":
+        key, secret = keys.add(arguments.owner)
+        print(secret)
+        print(f"key {key.id} of {key.owner}; it is not shown again", file=sys.stderr)
+    elif arguments.action == "list":
+        for key in keys.all():
+            print(f"{key.id}  {key.created_at:%Y-%m-%d %H:%M}  {key.owner}")
+    elif not keys.revoke(arguments.id):
+        print(f"error: expected an id that `refine keys list` shows, got {arguments.id!r}", file=sys.stderr)
+        return FAILED
+    return 0

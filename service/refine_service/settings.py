@@ -1,0 +1,49 @@
+"""REFINE_* settings of the service; those that it shares with the worker are in refine_jobs.settings."""
+
+from __future__ import annotations
+
+import ipaddress
+from pathlib import Path
+
+from pydantic import Field
+
+from refine_jobs.settings import EnvironmentSettings
+
+_MIB = 2**20
+
+
+class ServiceSettings(EnvironmentSettings):
+    """Where the service listens and what it lets in."""
+
+    host: str = Field("127.0.0.1", description="Address to listen on; 0.0.0.0 for all.")
+    http_port: int = Field(8000, ge=0, le=65535, description="0: any free one.")
+    grpc_port: int = Field(50051, ge=0, le=65535, description="0: any free one.")
+    keys_file: Path | None = Field(None, description="API keys, hashed; unset: keys.json in the data folder.")
+    require_key: bool | None = Field(
+        None, description="Whether every call needs an API key; unset: unless only this machine can connect."
+    )
+    requests_per_s: float = Field(50, gt=0, description="Calls of one API key to one service process.")
+    max_mesh_bytes: int = Field(256 * _MIB, ge=1, description="Largest mesh file.")
+    max_silhouette_bytes: int = Field(64 * _MIB, ge=1, description="Largest silhouette file.")
+    max_json_bytes: int = Field(
+        16 * _MIB, ge=1, description="Largest JSON body: base64 in it is held in memory."
+    )
+    upload_timeout_s: float = Field(300, gt=0, description="Longest time that one upload may take.")
+    grace_s: float = Field(20, gt=0, description="From SIGTERM until calls that still run are cut off.")
+    grpc_reflection: bool = Field(False, description="Let gRPC clients list services and messages.")
+
+    @property
+    def key_required(self) -> bool:
+        """require_key, or whether another machine can connect."""
+        return not _is_loopback(self.host) if self.require_key is None else self.require_key
+
+    def keys_path(self, data_folder: Path) -> Path:
+        """keys_file, or its place in the data folder."""
+        return self.keys_file or data_folder / "keys.json"
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

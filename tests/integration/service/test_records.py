@@ -1,0 +1,152 @@
+"""Reading, listing, cancelling and deleting, the same over both transports."""
+
+from __future__ import annotations
+
+import grpc
+import httpx
+import pytest
+from service_process import CAMERA, IOU, MESH, PNG, Hand, Service
+
+from refine_client import RefineClient
+from refine_proto.convert import to_model
+from refine_proto.errors import Conflict, Diverged, Expired, InvalidInput, NotFound
+from refine_proto.models import Refinement, State
+from refine_proto.v1 import refine_pb2 as pb
+from refine_proto.v1.refine_pb2_grpc import RefinementsStub
+
+
+def submit(client: RefineClient) -> Refinement:
+    return client.submit(MESH, PNG, CAMERA, mesh_format="obj")
+
+
+@pytest.mark.parametrize("end", ["queued", "running", "succeeded", "failed", "cancelled"])
+def test_both_transports_show_the_same_record(
+    service: Service, rest: httpx.Client, hand: Hand, end: str
+) -> None:
+    with service.client("rest") as client:
+        refinement_id = submit(client).id
+        if end == "cancelled":
+            client.cancel(refinement_id)
+    if end in ("running", "succeeded", "failed"):
+        job = hand.start(refinement_id)
+        hand.report(job, 3)
+        if end == "succeeded":
+            hand.finish(job, {"refined.glb": b"glTF", "report.json": b"{}"})
+        elif end == "failed":
+            hand.store.fail(job, Diverged("the loss is not finite"))
+
+    shown = Refinement.model_validate(rest.get(f"/v1/refinements/{refinement_id}").json())
+    with grpc.insecure_channel(service.grpc_address) as channel:
+        stub = RefinementsStub(channel)
+        message = stub.GetRefinement(pb.GetRefinementRequest(id=refinement_id))
+        page = stub.ListRefinements(pb.ListRefinementsRequest())
+    assert to_model(message, Refinement) == shown
+    assert [to_model(item, Refinement) for item in page.refinements] == [shown]
+    assert shown.state == end
+    assert shown.urls
+    assert shown.urls.refinement == f"/v1/refinements/{refinement_id}"
+    if end == "succeeded":
+        assert shown.silhouette_iou == IOU
+        assert shown.artifacts[0].url == f"/v1/refinements/{refinement_id}/artifacts/refined.glb"
+    if end == "failed":
+        assert shown.error
+        assert shown.error.reason == "DIVERGED"
+
+
+def test_pages(client: RefineClient) -> None:
+    sent = [submit(client).id for _ in range(5)]
+    first = client.list(limit=2)
+    second = client.list(limit=2, cursor=first.next_cursor)
+    third = client.list(limit=2, cursor=second.next_cursor)
+    pages = [[item.id for item in page.refinements] for page in (first, second, third)]
+    assert pages == [sent[:2:-1], sent[2:0:-1], sent[:1]]
+    assert third.next_cursor is None
+
+
+def test_bad_pages(client: RefineClient) -> None:
+    for limit in (0, 101):
+        with pytest.raises(InvalidInput):
+            client.list(limit=limit)
+    with pytest.raises(InvalidInput) as caught:
+        client.list(cursor="nonsense")
+    assert caught.value.errors[0].pointer == "/cursor"
+
+
+def test_cancelling(client: RefineClient, hand: Hand) -> None:
+    queued, running = submit(client), submit(client)
+    job = hand.start(running.id)
+    assert client.cancel(queued.id).state is State.CANCELLED
+    assert client.cancel(running.id).state is State.CANCELLING
+    assert hand.store.renew(job) is State.CANCELLING  # so the worker hears of it
+    hand.store.cancelled(job)
+    assert client.cancel(running.id) == client.get(running.id)
+    assert client.get(running.id).state is State.CANCELLED
+
+
+def test_the_status_of_a_cancellation(service: Service, rest: httpx.Client, hand: Hand) -> None:
+    with service.client("rest") as client:
+        queued, running = submit(client).id, submit(client).id
+    hand.start(running)
+    assert rest.post(f"/v1/refinements/{queued}/cancel").status_code == 200
+    assert rest.post(f"/v1/refinements/{running}/cancel").status_code == 202
+    assert rest.post("/v1/refinements/unknown/cancel").status_code == 404
+
+
+def test_deleting(client: RefineClient, hand: Hand) -> None:
+    refinement_id = submit(client).id
+    job = hand.start(refinement_id)
+    with pytest.raises(Conflict, match="cancel it"):
+        client.delete(refinement_id)
+    hand.finish(job, {"refined.glb": b"glTF"})
+    client.delete(refinement_id)
+    with pytest.raises(NotFound):
+        client.get(refinement_id)
+    assert client.list().refinements == []
+
+
+def test_the_status_of_a_deletion(service: Service, rest: httpx.Client, hand: Hand) -> None:
+    with service.client("rest") as client:
+        refinement_id = submit(client).id
+    path = f"/v1/refinements/{refinement_id}"
+    job = hand.start(refinement_id)
+    assert rest.delete(path).status_code == 409
+    hand.store.cancelled(job)
+    answer = rest.delete(path)
+    assert (answer.status_code, answer.content) == (204, b"")
+    assert rest.delete(path).status_code == 404
+
+
+def test_an_expired_record_is_gone(client: RefineClient, hand: Hand) -> None:
+    refinement_id = submit(client).id
+    hand.run(refinement_id, {"refined.glb": b"glTF"})
+    hand.expire(refinement_id)
+    for call in (client.get, client.cancel):
+        with pytest.raises(Expired, match=refinement_id):
+            call(refinement_id)
+
+
+def test_the_status_of_what_is_gone(service: Service, rest: httpx.Client, hand: Hand) -> None:
+    with service.client("rest") as client:
+        refinement_id = submit(client).id
+    hand.run(refinement_id, {"refined.glb": b"glTF"})
+    hand.expire(refinement_id)
+    path = f"/v1/refinements/{refinement_id}"
+    for gone in (path, f"{path}/events", f"{path}/artifacts/refined.glb"):
+        answer = rest.get(gone)
+        assert (answer.status_code, answer.json()["reason"]) == (410, "EXPIRED")
+
+
+def test_what_is_not_there(client: RefineClient) -> None:
+    for call in (client.get, client.cancel, client.delete):
+        with pytest.raises(NotFound):
+            call("0" * 32)
+    with pytest.raises(NotFound):
+        list(client.watch("0" * 32))
+
+
+def test_wrong_addresses(rest: httpx.Client) -> None:
+    answer = rest.get("/v2/refinements")
+    assert (answer.status_code, answer.json()["reason"]) == (404, "NOT_FOUND")
+    answer = rest.put("/v1/refinements")
+    assert (answer.status_code, answer.json()["reason"]) == (405, "METHOD_NOT_ALLOWED")
+    assert answer.headers["Allow"]

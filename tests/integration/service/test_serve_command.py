@@ -1,0 +1,126 @@
+"""`refine serve`: everything in one command, with real workers, and nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+import pytest
+
+from refine_client import RefineClient
+from refine_proto.models import State
+
+pytest.importorskip("refine_worker")
+SAMPLE = Path(__file__).parents[3] / "examples/samples/chair"
+PROGRAM = "import sys, refine_service.commands.serve as s; sys.exit(s.serve_command(sys.argv[1:]))"
+
+
+@dataclass(frozen=True)
+class Served:
+    """A running `refine serve` and what it printed until it was ready."""
+
+    process: subprocess.Popen[str]
+    lines: list[str]
+
+    @property
+    def url(self) -> str:
+        found = re.search(r"http://\S+", self.lines[0])
+        assert found, self.lines
+        return found[0]
+
+    def family(self) -> list[psutil.Process]:
+        return psutil.Process(self.process.pid).children(recursive=True)
+
+
+@contextmanager
+def serve(folder: Path) -> Iterator[Served]:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("REFINE_")}
+    environment |= {"REFINE_DEVICES": "cpu", "REFINE_SLOTS_PER_DEVICE": "1"}
+    arguments = ["--data-folder", str(folder), "--http-port", "0", "--grpc-port", "0"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    try:
+        lines = []
+        for line in process.stdout:
+            lines.append(line)
+            if line.startswith("ready"):
+                break
+        yield Served(process, lines)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+        process.stderr.close()
+
+
+def test_a_job_and_a_clean_stop(tmp_path: Path) -> None:
+    with serve(tmp_path) as served:
+        assert [line.split()[0] for line in served.lines] == ["REST", "gRPC", "data", "slots", "ready"]
+        assert "1 on cpu" in served.lines[-1]
+        family = served.family()
+        assert len(family) >= 3  # Redis, service, worker
+        with RefineClient(served.url) as client:
+            camera = json.loads((SAMPLE / "camera.json").read_text())
+            refinement = client.submit(
+                SAMPLE / "coarse.obj",
+                SAMPLE / "silhouette.png",
+                camera,
+                {"preset": "fast", "iterations": 2},
+            )
+            ended = client.wait(refinement.id, timeout_s=300)
+        assert ended.state is State.SUCCEEDED, ended.error
+        served.process.send_signal(signal.SIGINT)
+        assert served.process.wait(90) == 0
+        assert [process for process in family if process.is_running()] == []
+
+
+def test_a_process_that_dies_ends_all(tmp_path: Path) -> None:
+    with serve(tmp_path) as served:
+        family = served.family()
+        own = psutil.Process(served.process.pid).children()
+        [worker] = [process for process in own if "refine_worker" in process.cmdline()]
+        worker.kill()
+        assert served.process.wait(90) == 1
+        assert served.process.stderr is not None
+        assert "error: the worker ended with code -9" in served.process.stderr.read()
+        psutil.wait_procs(family, timeout=30)
+        assert [process for process in family if process.is_running()] == []
+
+
+def test_no_orphan_of_a_killed_serve(tmp_path: Path) -> None:
+    with serve(tmp_path) as served:
+        family = served.family()
+        served.process.kill()
+        served.process.wait()
+        redis = [process for process in family if "redis" in process.name() or "valkey" in process.name()]
+        ours = [process for process in family if process not in redis]
+        _, alive = psutil.wait_procs(ours, timeout=60)
+        assert alive == []
+    with serve(tmp_path) as served:  # stops the server left over, and finds the data
+        assert served.lines[-1].startswith("ready")
+        assert [process for process in redis if process.is_running()] == []
+        served.process.send_signal(signal.SIGTERM)
+        assert served.process.wait(90) == 0
+
+
+def test_one_serve_per_folder(tmp_path: Path) -> None:
+    with serve(tmp_path), serve(tmp_path) as second:
+        assert second.process.wait(30) == 2
+        assert second.process.stderr is not None
+        assert "another process is using" in second.process.stderr.read()
