@@ -9,6 +9,7 @@ from torch import Tensor
 from .topology import Topology
 
 LEAST_DEPTH = 1e-4  # optical depth of a pixel at the edge of a face's reach; beyond it a miss costs no more
+SLIVER = 1e-2  # height over length below which a triangle's normal counts less and less
 
 
 def alpha(optical_depth: Tensor) -> Tensor:
@@ -78,11 +79,20 @@ def normal_consistency(vertices: Tensor, topology: Topology) -> Tensor:
     """Mean over hinges of 1 - cos of the fold angle; from the shared edge, so the winding does not matter."""
     start, end, one, other = vertices[topology.hinges].unbind(1)  # (P, 3) each
     edge = end - start
-    normal = torch.linalg.cross(edge, one - start)
-    opposite = torch.linalg.cross(other - start, edge)
-    return (
-        (1 - torch.cosine_similarity(normal, opposite, dim=1, eps=1e-12)).mean() if len(edge) else edge.sum()
-    )
+    normal, opposite = _unit_normal(edge, one - start), -_unit_normal(edge, other - start)
+    return (1 - (normal * opposite).sum(1)).mean() if len(edge) else edge.sum()
+
+
+def _unit_normal(side: Tensor, other_side: Tensor) -> Tensor:
+    """Of triangles (P, 3); shorter than 1 for a sliver, down to 0, so that its gradient stays bounded.
+
+    The normal of a triangle without area is noise, and its derivative infinite: a single one would decide
+    what the optimiser does.
+    """
+    normal = torch.linalg.cross(side, other_side)
+    longest2 = torch.maximum(side.detach().square().sum(1), other_side.detach().square().sum(1))
+    least = (SLIVER * longest2).clamp_min(1e-12)
+    return normal / torch.maximum(normal.norm(dim=1), least)[:, None]
 
 
 def laplacian(vertices: Tensor, neighbour_mean: Tensor) -> Tensor:
