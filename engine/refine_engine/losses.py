@@ -32,7 +32,8 @@ def silhouette_pyramid(optical_depth: Tensor, target: Tensor, known: Tensor, lev
     """Squared difference of alpha and target, relative to the object's area, mean over an image pyramid.
 
     A level halves the one below by means of 2 x 2: an outline that is far off still makes a difference
-    there, whichever side it is on. All (B, N, N), N divisible by 2^(levels - 1).
+    there, whichever side it is on. A level of odd size leaves its last row and column to the level below it.
+    All (B, N, N), N at least 2^(levels - 1).
     """
     difference = (known * (alpha(optical_depth) - target))[:, None]
     total = difference.square().mean()

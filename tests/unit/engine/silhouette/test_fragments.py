@@ -42,7 +42,7 @@ def depth_of(fragments: Fragments, scene: Scene) -> Tensor:
     return (z * fragments.barycentric).sum(-1).float()
 
 
-# Two triangles over one another in 4 x 4 pixels; corners a, b, c of each. The near one is the upper left half.
+# Two triangles over one another in 4 x 4 pixels; corners a, b, c of each; near: the upper left half.
 #
 #   a--------b     near: a (0, 0) depth 1, b (4, 0) depth 1, c (0, 4) depth 2
 #   |      /       far:  the whole image and more, at depth 3

@@ -1,4 +1,4 @@
-"""The CPU back end against the oracle, the oracle against finite differences, a triangle against the pencil."""
+"""The CPU back end against the oracle, the oracle against finite differences, one triangle by hand."""
 
 import math
 from collections.abc import Callable
