@@ -93,7 +93,8 @@ def _unit_normal(side: Tensor, other_side: Tensor) -> Tensor:
     normal = torch.linalg.cross(side, other_side)
     longest2 = torch.maximum(side.detach().square().sum(1), other_side.detach().square().sum(1))
     least = (SLIVER * longest2).clamp_min(1e-12)
-    return normal / torch.maximum(normal.norm(dim=1), least)[:, None]
+    unit: Tensor = normal / torch.maximum(normal.norm(dim=1), least)[:, None]
+    return unit
 
 
 def laplacian(vertices: Tensor, neighbour_mean: Tensor) -> Tensor:
