@@ -1,5 +1,6 @@
 """The normalised frame, square targets of images of any shape, the symmetry views."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -79,7 +80,7 @@ def test_a_given_plane_is_not_moved_by_centring(
 @pytest.mark.parametrize(("width", "height"), [(60, 40), (40, 60), (50, 50), (41, 60), (301, 200)])
 @pytest.mark.parametrize("side", [48, 120])
 def test_vertices_land_where_the_input_camera_sees_them(
-    ball: Mesh, make_camera: type[Camera], width: int, height: int, side: int
+    ball: Mesh, make_camera: Callable[[int, int], Camera], width: int, height: int, side: int
 ) -> None:
     """A position in the input image, shifted by the padding, times the zoom."""
     mesh = moved(ball, 1.3, (0.1, 0.2, -0.1))
@@ -99,7 +100,7 @@ def test_vertices_land_where_the_input_camera_sees_them(
 @pytest.mark.parametrize("make_camera", [a_camera, orthographic])
 @pytest.mark.parametrize(("width", "height"), [(200, 120), (90, 150), (64, 64)])
 def test_the_picture_lies_under_the_projection(
-    ball: Mesh, make_camera: type[Camera], width: int, height: int
+    ball: Mesh, make_camera: Callable[[int, int], Camera], width: int, height: int
 ) -> None:
     """The mesh rendered at the target's camera covers the target's silhouette."""
     mesh = moved(ball, 1.3, (0.1, 0.2, -0.1))

@@ -24,6 +24,7 @@ def boxes(*size_and_place: tuple[tuple[float, float, float], tuple[float, float,
         box.apply_translation(place)
         parts.append(box.subdivide().subdivide())
     whole = trimesh.util.concatenate(parts)
+    assert isinstance(whole, trimesh.Trimesh)
     vertices, faces = np.array(whole.vertices, np.float32), np.array(whole.faces, np.int64)
     return Mesh(torch.from_numpy(vertices), torch.from_numpy(faces))
 
