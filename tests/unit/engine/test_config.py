@@ -53,11 +53,10 @@ def test_presets_cost_what_they_promise() -> None:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_presets_share_the_weights_of_the_paper(preset: str) -> None:
+def test_presets_render_large_enough_for_the_pyramid(preset: str) -> None:
     config = make_config(preset)
     assert config.iterations == sum(stage.iterations for stage in config.stages)
     assert config.proportions is None or config.proportions.render_size >= 32  # six levels
-    assert config.weights == Weights()
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 0.0), (math.nan, 0.0, 1.0), (math.inf, 0.0, 0.0)])

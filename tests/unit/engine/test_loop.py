@@ -21,8 +21,9 @@ SHORT = RefineConfig(
     learning_rate=2e-4,
     symmetry_azimuths_degrees=(45.0,),
 )
-# Adam's first steps are as long for a gradient that is rounding as for any other; later ones undo that.
 SETTLED = replace(SHORT, proportions=ProportionFit(iterations=40, render_size=64))
+# Adam turns the rounding of a gradient into steps: small ones, for runs that are compared but not bit by bit.
+GENTLE = replace(SHORT, proportions=None, learning_rate=3e-5)
 CAMERA = Camera.look_at(40, 20, 1.9, 50, 64, 64)
 
 
@@ -170,7 +171,7 @@ def test_units_and_place_do_not_matter(ball: Mesh, projection: str, scale: float
         moved_camera = replace(moved_camera, projection="orthographic", fx=40.0 / scale, fy=40.0 / scale)
     silhouette = hard_silhouette(stretched(ball, 1.2, 0.8, 1.0), camera).float()
     moved = Mesh(ball.vertices * scale + shift, ball.faces)
-    for config, tolerance in ((SETTLED, 0.25), (replace(SHORT, proportions=None), 0.02)):
+    for config, tolerance in ((SETTLED, 0.25), (GENTLE, 0.02)):
         here = refine(ball, [View(silhouette, camera)], config)
         there = refine(moved, [View(silhouette, moved_camera)], config)
         check(there, moved, config)
@@ -233,9 +234,9 @@ def test_meshes_as_they_come(ball: Mesh, make_mesh: Callable[[Mesh], Mesh]) -> N
 
 
 def test_winding_does_not_matter(ball: Mesh, views: list[View]) -> None:
-    one, other = (refine(mesh, views, SETTLED) for mesh in (ball, inside_out(ball)))
+    one, other = (refine(mesh, views, GENTLE) for mesh in (ball, inside_out(ball)))
     difference = (one.mesh.vertices - other.mesh.vertices).norm(dim=1).mean()
-    assert float(difference) < 0.25 * float(one.displacement.norm(dim=1).mean())
+    assert float(difference) < 0.02 * float(one.displacement.norm(dim=1).mean())
 
 
 def test_degenerate_faces_do_not_stop_the_others(ball: Mesh, views: list[View]) -> None:
