@@ -44,7 +44,7 @@ class ProportionFit:
 
     iterations: int = 60
     render_size: int = 112
-    """Side of the square renders, pixels; divisible by 32."""
+    """Side of the square renders, pixels; at least 32, for the levels of the image pyramid."""
     softness: float = 4e-5
     """As in Stage; sharp, because the image pyramid reaches far and a soft outline is biased outwards."""
     learning_rate: float = 0.015

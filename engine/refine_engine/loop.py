@@ -44,14 +44,15 @@ def refine(
 
     Mesh and views are on one device, which does the work. `report` hears of the progress at most twice a
     second and of the last iteration; `cancelled` is asked before every iteration. The same seed, device and
-    number of threads give the same result.
+    number of threads give the same result. Vertices that no face uses stay where they are, with confidence 1.
 
     Raises:
         Cancelled: `cancelled` said so.
         Diverged: a loss became NaN or infinite.
     """
     started = time.monotonic()
-    proportioned = move_as_a_whole(mesh, views, config)
+    used, faces = mesh.faces.unique(return_inverse=True)
+    proportioned = move_as_a_whole(Mesh(mesh.vertices[used], faces), views, config)
     fit = Fit(proportioned, views, config)
     iteration, reported = 0, -math.inf
     for stage in config.stages:
@@ -66,11 +67,11 @@ def refine(
             if report and (now - reported > REPORT_INTERVAL_S or iteration == config.iterations):
                 report(fit.progress(iteration))
                 reported = now
-    refined = Mesh(fit.refined(), mesh.faces)
+    refined = Mesh(mesh.vertices.index_copy(0, used, fit.refined()), mesh.faces)
     return Result(
         mesh=refined,
         displacement=refined.vertices - mesh.vertices,
-        confidence=fit.best_confidence,
+        confidence=torch.ones_like(mesh.vertices[:, 0]).index_copy(0, used, fit.best_confidence),
         best_iteration=int(fit.best_iteration),
         loss_curve=fit.loss_curve(),
         silhouette_iou_before=mean_silhouette_iou(mesh, views),
@@ -113,7 +114,9 @@ class Fit:
         seen = Target.of(views[:1], self.frame, config.encoder_size)
         self.seen = seen.silhouette[:, None]  # (1, 1, N, N): the encoder looks at the first view
         self.grid = (seen.project(self.coarse)[..., :2] * 2 / seen.side - 1)[:, None]  # (1, 1, V, 2)
-        network = Refiner()
+        with torch.device("meta"):  # `initialise` draws all weights: leave torch's own generator alone
+            network = Refiner()
+        network.to_empty(device="cpu")
         initialise(network, float(self.topology.degree.mean()), torch.Generator().manual_seed(config.seed))
         self.network = network.to(self.coarse.device)
         self.features: Tensor | None = None

@@ -9,6 +9,7 @@ from torch import Tensor
 from .topology import Topology
 
 LEAST_DEPTH = 1e-4  # optical depth of a pixel at the edge of a face's reach; beyond it a miss costs no more
+SLIVER = 1e-2  # height over length below which a triangle's normal counts less and less
 
 
 def alpha(optical_depth: Tensor) -> Tensor:
@@ -31,7 +32,8 @@ def silhouette_pyramid(optical_depth: Tensor, target: Tensor, known: Tensor, lev
     """Squared difference of alpha and target, relative to the object's area, mean over an image pyramid.
 
     A level halves the one below by means of 2 x 2: an outline that is far off still makes a difference
-    there, whichever side it is on. All (B, N, N), N divisible by 2^(levels - 1).
+    there, whichever side it is on. A level of odd size leaves its last row and column to the level below it.
+    All (B, N, N), N at least 2^(levels - 1).
     """
     difference = (known * (alpha(optical_depth) - target))[:, None]
     total = difference.square().mean()
@@ -78,11 +80,21 @@ def normal_consistency(vertices: Tensor, topology: Topology) -> Tensor:
     """Mean over hinges of 1 - cos of the fold angle; from the shared edge, so the winding does not matter."""
     start, end, one, other = vertices[topology.hinges].unbind(1)  # (P, 3) each
     edge = end - start
-    normal = torch.linalg.cross(edge, one - start)
-    opposite = torch.linalg.cross(other - start, edge)
-    return (
-        (1 - torch.cosine_similarity(normal, opposite, dim=1, eps=1e-12)).mean() if len(edge) else edge.sum()
-    )
+    normal, opposite = _unit_normal(edge, one - start), -_unit_normal(edge, other - start)
+    return (1 - (normal * opposite).sum(1)).mean() if len(edge) else edge.sum()
+
+
+def _unit_normal(side: Tensor, other_side: Tensor) -> Tensor:
+    """Of triangles (P, 3); shorter than 1 for a sliver, down to 0, so that its gradient stays bounded.
+
+    The normal of a triangle without area is noise, and its derivative infinite: a single one would decide
+    what the optimiser does.
+    """
+    normal = torch.linalg.cross(side, other_side)
+    longest2 = torch.maximum(side.detach().square().sum(1), other_side.detach().square().sum(1))
+    least = (SLIVER * longest2).clamp_min(1e-12)
+    unit: Tensor = normal / torch.maximum(normal.norm(dim=1), least)[:, None]
+    return unit
 
 
 def laplacian(vertices: Tensor, neighbour_mean: Tensor) -> Tensor:

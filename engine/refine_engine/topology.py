@@ -31,8 +31,8 @@ class Topology:
         end = faces[:, [1, 2, 0]].T.reshape(-1)
         opposite = faces[:, [2, 0, 1]].T.reshape(-1)
         low, high = torch.minimum(start, end), torch.maximum(start, end)
-        real = low != high
-        low, high, opposite = low[real], high[real], opposite[real]
+        proper = (low != high) & (opposite != low) & (opposite != high)  # a repeated corner: not a face
+        low, high, opposite = low[proper], high[proper], opposite[proper]
         key = low * vertex_count + high
         order = key.argsort(stable=True)
         low, high, opposite, key = low[order], high[order], opposite[order], key[order]

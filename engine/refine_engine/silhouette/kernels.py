@@ -25,6 +25,8 @@ NEAREST_DEPTH = f32(NEAR)
 LOG2_E = f32(math.log2(math.e))
 LN2 = f32(math.log(2))
 TINY = f32(1e-12)
+LEAST_CONFIDENCE = f32(1e-6)  # as in losses.confidence_cost
+FLAT = f32(1e-6)  # several roundings: area of a face, over its length times its reach, that counts as none
 # exp2 on (-1, 0]: Taylor coefficients ln(2)^k / k!
 E1, E2, E3, E4, E5, E6 = (f32(math.log(2) ** k / math.factorial(k)) for k in range(1, 7))
 # log1p(t) = 2 atanh(z), z = t / (2 + t): 2 z (1 + z^2 / 3 + z^4 / 5 + ...)
@@ -53,6 +55,18 @@ def log1p_unit(t: f32) -> f32:
 
 
 @jit
+def inside_from(ux: f32, uy: f32, vx: f32, vy: f32, wx: f32, wy: f32, radius: f32) -> f32:
+    """The cross product with each side (u, v, w) beyond which a pixel is inside: 0, or never without an area.
+
+    A pixel centre on the extension of a face that is a line is zero to all its sides: rounding alone would
+    decide whether it is inside.
+    """
+    longest2 = max(ux * ux + uy * uy, vx * vx + vy * vy, wx * wx + wy * wy)
+    has_area = abs(ux * vy - uy * vx) > FLAT * (longest2 + math.sqrt(longest2) * radius)
+    return ZERO if has_area else HUGE
+
+
+@jit
 def optical_depth(screen: Floats, faces: Ints, softness_px: f32, radius: f32, image: Floats) -> None:
     """Adds softplus(x_f(p)) of every face to `image` (H, W + LANES). screen (V, 3), faces (F, 3)."""
     height, width = image.shape[0], image.shape[1] - LANES
@@ -77,6 +91,7 @@ def optical_depth(screen: Floats, faces: Ints, softness_px: f32, radius: f32, im
         iu = ONE / max(ux * ux + uy * uy, TINY)
         iv = ONE / max(vx * vx + vy * vy, TINY)
         iw = ONE / max(wx * wx + wy * wy, TINY)
+        least = inside_from(ux, uy, vx, vy, wx, wy, radius)
         for y in range(y0, y1 + 1):
             py = f32(y) + HALF
             day, dby, dcy = py - ay, py - by, py - cy
@@ -97,7 +112,7 @@ def optical_depth(screen: Floats, faces: Ints, softness_px: f32, radius: f32, im
                     qx, qy = dcx - t * wx, dcy - t * wy
                     d2 = min(d2, qx * qx + qy * qy) * scale
                     cu, cv, cw = ux * day - uy * dax, vx * dby - vy * dbx, wx * dcy - wy * dcx
-                    inside = (min(cu, cv, cw) > ZERO) | (max(cu, cv, cw) < ZERO)
+                    inside = (min(cu, cv, cw) > least) | (max(cu, cv, cw) < -least)
                     value = log1p_unit(exp_negative(d2)) + (d2 if inside else ZERO)
                     run[k] += value if (inside | (d2 < CUT)) else ZERO
 
@@ -147,6 +162,7 @@ def optical_depth_backward(
         iu = ONE / max(ux * ux + uy * uy, TINY)
         iv = ONE / max(vx * vx + vy * vy, TINY)
         iw = ONE / max(wx * wx + wy * wy, TINY)
+        least = inside_from(ux, uy, vx, vy, wx, wy, radius)
         gax, gay, gbx, gby, gcx, gcy = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
         for y in range(y0, y1 + 1):
             py = f32(y) + HALF
@@ -185,7 +201,7 @@ def optical_depth_backward(
                     zb = ZERO if nearer else zb
                     zc = ONE - t if nearer else zc
                     cu, cv, cw = ux * day - uy * dax, vx * dby - vy * dbx, wx * dcy - wy * dcx
-                    inside = (min(cu, cv, cw) > ZERO) | (max(cu, cv, cw) < ZERO)
+                    inside = (min(cu, cv, cw) > least) | (max(cu, cv, cw) < -least)
                     # dS/dx = sigmoid(x); dx/dcorner = -+ 2 q z / s
                     e = exp_negative(d2)
                     weight = (ONE if inside else -e) / (ONE + e) * run[k]
@@ -285,14 +301,15 @@ def image_symmetry(
                 continue
             a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
             wa, wb, wc = weight_image[y, x, 0], weight_image[y, x, 1], weight_image[y, x, 2]
-            sigma = max(wa * confidence[a] + wb * confidence[b] + wc * confidence[c], f32(1e-6))
+            sigma = wa * confidence[a] + wb * confidence[b] + wc * confidence[c]
+            bounded = max(sigma, LEAST_CONFIDENCE)
             clear = exp_negative(seen[y, width - 1 - x])
             clear_mirrored = exp_negative(mirrored[y, x])
             difference = clear_mirrored - clear  # flip(alpha) - alpha'
-            total += sigma * difference * difference - cost * math.log(sigma)
+            total += sigma * difference * difference - cost * math.log(bounded)
             d_seen[y, width - 1 - x] = TWO * sigma * difference * clear
             d_mirrored[y, x] = -TWO * sigma * difference * clear_mirrored
-            d_sigma = difference * difference - cost / sigma
+            d_sigma = difference * difference - (cost / sigma if sigma >= LEAST_CONFIDENCE else ZERO)
             d_confidence[a] += wa * d_sigma
             d_confidence[b] += wb * d_sigma
             d_confidence[c] += wc * d_sigma
