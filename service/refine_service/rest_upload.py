@@ -70,7 +70,7 @@ async def _spec(form: FormData) -> RefinementSpec:
             raise from_validation([{"loc": (name,), "msg": "expected one field of this name, got several"}])
         if name in _FILES:
             continue
-        text = value if isinstance(value, str) else await value.read(_FIELD_BYTES + 1)
+        text = value if isinstance(value, str) else await _read_and_close(value)
         if len(text) > _FIELD_BYTES:
             raise PayloadTooLarge(f"expected at most {_FIELD_BYTES} bytes in the field {name}, got more")
         values[name] = _parse(name, text) if name in _JSON_FIELDS else _text(text)
@@ -78,6 +78,13 @@ async def _spec(form: FormData) -> RefinementSpec:
         return RefinementSpec.model_validate(values)
     except ValidationError as error:
         raise from_validation(error.errors()) from None
+
+
+async def _read_and_close(file: UploadFile) -> bytes:
+    try:
+        return await file.read(_FIELD_BYTES + 1)
+    finally:
+        await file.close()
 
 
 def _text(value: str | bytes) -> str:
