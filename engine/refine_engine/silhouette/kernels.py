@@ -25,6 +25,7 @@ CUT = f32(CUTOFF)
 NEAREST_DEPTH = f32(NEAR)
 LOG2_E = f32(math.log2(math.e))
 TINY = f32(1e-12)
+SHORTEST = 1e-6  # length of a side that has a direction, pixels
 LEAST_CONFIDENCE = f32(1e-6)  # as in losses.confidence_cost
 FLAT = f32(1e-6)  # several roundings: area of a face, over its length times its reach, that counts as none
 # exp2 on (-1, 0]: Taylor coefficients ln(2)^k / k!
@@ -86,16 +87,15 @@ def side(ax: f32, ay: f32, bx: f32, by: f32, px: f32, py: f32, unit: f32) -> tup
     which are a pixel. A pixel further in x, they are `step x` and `-step y` more, and a pixel further in y
     `step y` and `step x`. A side without length has the direction +x.
     """
-    ux, uy = bx - ax, by - ay
-    squared = ux * ux + uy * uy
-    length = math.sqrt(squared)
-    if squared <= TINY:
-        ux, uy, length = ONE, ZERO, ZERO
-    else:
-        ux, uy = ux / length, uy / length
-    sx, sy = ux * unit, uy * unit
-    dx, dy = px - ax, py - ay
-    return sx, sy, length * unit, dx * sx + dy * sy, dy * sx - dx * sy
+    # in double precision: the corners of a face close to the camera are thousands of pixels away
+    ux, uy = np.float64(bx) - np.float64(ax), np.float64(by) - np.float64(ay)
+    dx, dy = np.float64(px) - np.float64(ax), np.float64(py) - np.float64(ay)
+    length = math.sqrt(ux * ux + uy * uy)
+    if length <= SHORTEST:
+        return unit, ZERO, ZERO, f32(dx * unit), f32(dy * unit)
+    scale = unit / length
+    sx, sy = ux * scale, uy * scale
+    return f32(sx), f32(sy), f32(length * unit), f32(dx * sx + dy * sy), f32(dy * sx - dx * sy)
 
 
 @jit
