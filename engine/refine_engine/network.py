@@ -56,6 +56,12 @@ class Encoder(nn.Module):
         fine = self.stage1(self.stem(silhouette))
         return fine, self.stage2(fine)
 
+    def store_channels_last(self) -> None:
+        """The weights in the order of memory that is fastest on CPUs; the feature maps follow them."""
+        for parameter in self.parameters():
+            if parameter.ndim == 4:
+                parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
+
 
 class GraphConv(nn.Module):
     """w0 x_v + sum over the neighbours u of w1 x_u + b, as one matrix product and one gather."""
