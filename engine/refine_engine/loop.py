@@ -119,12 +119,14 @@ class Fit:
         network.to_empty(device="cpu")
         initialise(network, float(self.topology.degree.mean()), torch.Generator().manual_seed(config.seed))
         self.network = network.to(self.coarse.device)
+        on_card = self.coarse.is_cuda
+        if not on_card:
+            network.encoder.store_channels_last()
         self.features: Tensor | None = None
         if not config.train_encoder:
             network.encoder.requires_grad_(False)
             self.features = network.features(self.seen, self.grid)
         trained = [p for p in network.parameters() if p.requires_grad]
-        on_card = self.coarse.is_cuda
         self.optimiser = torch.optim.Adam(trained, config.learning_rate, fused=True, capturable=on_card)
 
         self.iteration = self.coarse.new_zeros(1, dtype=torch.int64)

@@ -15,19 +15,19 @@ DEPTH = 8  # graph convolutions
 
 
 class ResidualBlock(nn.Module):
-    """ResNet basic block. Batch statistics of a batch of one are instance statistics."""
+    """ResNet basic block with the statistics of the batch, which is one image: instance normalisation."""
 
     def __init__(self, channels_in: int, channels: int, stride: int) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(channels_in, channels, 3, stride, 1, bias=False)
-        self.norm1 = nn.InstanceNorm2d(channels, affine=True)
+        self.norm1 = nn.BatchNorm2d(channels, track_running_stats=False)
         self.conv2 = nn.Conv2d(channels, channels, 3, 1, 1, bias=False)
-        self.norm2 = nn.InstanceNorm2d(channels, affine=True)
+        self.norm2 = nn.BatchNorm2d(channels, track_running_stats=False)
         self.shortcut: nn.Module = nn.Identity()
         if stride != 1 or channels_in != channels:
             self.shortcut = nn.Sequential(
                 nn.Conv2d(channels_in, channels, 1, stride, bias=False),
-                nn.InstanceNorm2d(channels, affine=True),
+                nn.BatchNorm2d(channels, track_running_stats=False),
             )
 
     def forward(self, x: Tensor) -> Tensor:
@@ -44,7 +44,7 @@ class Encoder(nn.Module):
         super().__init__()
         self.stem = nn.Sequential(
             nn.Conv2d(1, 64, 7, 2, 3, bias=False),
-            nn.InstanceNorm2d(64, affine=True),
+            nn.BatchNorm2d(64, track_running_stats=False),
             nn.ReLU(),
             nn.MaxPool2d(3, 2, 1),
         )
@@ -55,6 +55,12 @@ class Encoder(nn.Module):
         """(1, 1, N, N) -> feature maps (1, 64, N/4, N/4) and (1, 128, N/8, N/8)."""
         fine = self.stage1(self.stem(silhouette))
         return fine, self.stage2(fine)
+
+    def store_channels_last(self) -> None:
+        """The weights in the order of memory that is fastest on CPUs; the feature maps follow them."""
+        for parameter in self.parameters():
+            if parameter.ndim == 4:
+                parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
 
 
 class GraphConv(nn.Module):
@@ -114,7 +120,7 @@ def initialise(network: Refiner, mean_degree: float, generator: torch.Generator)
                 module.weight.normal_(0, math.sqrt(2 / fan_in), generator=generator)
                 if module.bias is not None:
                     module.bias.zero_()
-            elif isinstance(module, nn.InstanceNorm2d):
+            elif isinstance(module, nn.BatchNorm2d):
                 module.weight.fill_(1)
                 module.bias.zero_()
         for module in network.modules():

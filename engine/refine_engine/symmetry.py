@@ -11,7 +11,6 @@ from torch import Tensor
 from .scene import Mesh
 from .silhouette import cuda
 
-DENSE_LIMIT = 3000  # vertices up to which all distances at once are cheaper than a tree
 SAMPLES = 2000  # surface points for comparing a mesh with its mirror image
 
 
@@ -35,11 +34,10 @@ def nearest_mirrored(vertices: Tensor, mirror: Tensor) -> Tensor:
     mirrored = points @ mirror
     if points.device.type == "cuda":
         return cuda.nearest_point(points, mirrored)
-    if points.device.type == "cpu" and len(points) > DENSE_LIMIT:
-        _, index = cKDTree(points.numpy()).query(mirrored.numpy())
-        return torch.from_numpy(index)
-    half_norm = 0.5 * points.square().sum(1)  # |T v - u|^2 / 2 less |T v|^2 / 2
-    return torch.addmm(half_norm, mirrored, points.T, alpha=-1).argmin(1)
+    finite = torch.nan_to_num(points)  # the tree refuses others; the loss tells that the run diverged
+    tree = cKDTree(finite.numpy(), balanced_tree=False)  # quicker to build and as exact
+    _, index = tree.query(torch.nan_to_num(mirrored).numpy())
+    return torch.from_numpy(index)
 
 
 def mirror_error(mesh: Mesh, normal: Tensor) -> Callable[[float], float]:

@@ -7,6 +7,7 @@ the two never run at the same time, so one number bounds both.
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -36,6 +37,19 @@ def _each_view(views: int, work: Callable[[int], None]) -> None:
         list(_pool(torch.get_num_threads()).map(work, range(views)))
 
 
+_scratches = threading.local()
+
+
+def _scratch(views: int, side: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Memory for `next_nonzero`, this thread's until its next call: fresh pages every iteration cost more."""
+    shape = views, side
+    if getattr(_scratches, "shape", None) != shape:
+        _scratches.shape = shape
+        _scratches.padded = np.empty((views, side, side + kernels.LANES), np.float32)
+        _scratches.following = np.empty((views, side, side + 1), np.int32)
+    return _scratches.padded, _scratches.following
+
+
 class _OpticalDepth(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, screen: Tensor, faces: Tensor, side: int, softness: float) -> Tensor:
@@ -51,15 +65,13 @@ class _OpticalDepth(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
-        (grad,) = grads
+        grad = grads[0].numpy()
         views, side = grad.shape[0], grad.shape[1]
-        padded = np.zeros((views, side, side + kernels.LANES), np.float32)
-        padded[:, :, :side] = grad.numpy()
-        following = np.empty((views, side, side + 1), np.int32)
+        padded, following = _scratch(views, side)
         out = np.zeros((views, ctx.points.shape[1], 3), np.float32)
 
         def one(i: int) -> None:
-            kernels.next_nonzero(padded[i, :, :side], following[i])
+            kernels.next_nonzero(grad[i], padded[i], following[i])
             kernels.optical_depth_backward(
                 ctx.points[i], ctx.corners, *ctx.args, padded[i], following[i], out[i]
             )

@@ -2,6 +2,7 @@
 
 Each kernel walks the faces, and for a face the rows of its screen box grown by the cut-off radius. A row is
 cut into runs of LANES pixels; the body has no branch, so that LLVM turns a run into vector instructions.
+In it the distances along a side and to the left of it are linear in the pixel: one multiply-add each.
 Images are padded by LANES columns on the right: a run may reach past the image, its surplus is dropped.
 """
 
@@ -23,14 +24,18 @@ ZERO, HALF, ONE, TWO, HUGE = f32(0), f32(0.5), f32(1), f32(2), f32(3e38)
 CUT = f32(CUTOFF)
 NEAREST_DEPTH = f32(NEAR)
 LOG2_E = f32(math.log2(math.e))
-LN2 = f32(math.log(2))
 TINY = f32(1e-12)
+SHORTEST = 1e-6  # length of a side that has a direction, pixels
 LEAST_CONFIDENCE = f32(1e-6)  # as in losses.confidence_cost
 FLAT = f32(1e-6)  # several roundings: area of a face, over its length times its reach, that counts as none
 # exp2 on (-1, 0]: Taylor coefficients ln(2)^k / k!
 E1, E2, E3, E4, E5, E6 = (f32(math.log(2) ** k / math.factorial(k)) for k in range(1, 7))
-# log1p(t) = 2 atanh(z), z = t / (2 + t): 2 z (1 + z^2 / 3 + z^4 / 5 + ...)
-L3, L5, L7, L9, L11 = (f32(1 / k) for k in (3, 5, 7, 9, 11))
+# log(1 + t) / t on [0, 1]: interpolated at Chebyshev points, error of the logarithm below 2e-7
+L_COEFFICIENTS = (
+    *(0.99999981, -0.499974494, 0.332761766, -0.244996117),
+    *(0.17757024, -0.107853679, 0.0442141923, -0.0085746762),
+)
+L0, L1, L2, L3, L4, L5, L6, L7 = (f32(c) for c in L_COEFFICIENTS)
 
 FAST = {"reassoc", "contract", "arcp", "nsz", "nnan"}
 jit = njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
@@ -49,82 +54,107 @@ def exp_negative(a: f32) -> f32:
 @jit
 def log1p_unit(t: f32) -> f32:
     """log(1 + t) for t in [0, 1]."""
-    z = t / (TWO + t)
-    w = z * z
-    return TWO * z * (ONE + w * (L3 + w * (L5 + w * (L7 + w * (L9 + w * L11)))))
+    return t * (L0 + t * (L1 + t * (L2 + t * (L3 + t * (L4 + t * (L5 + t * (L6 + t * L7)))))))
 
 
 @jit
-def inside_from(ux: f32, uy: f32, vx: f32, vy: f32, wx: f32, wy: f32, radius: f32) -> f32:
-    """The cross product with each side (u, v, w) beyond which a pixel is inside: 0, or never without an area.
+def reach(extent: int, radius: f32, a: f32, b: f32, c: f32) -> tuple[int, int]:
+    """First and last pixel of an axis of `extent` pixels that three corners reach within `radius`."""
+    first, last = math.floor(min(a, b, c) - radius), math.floor(max(a, b, c) + radius)
+    return max(0, first), min(extent - 1, last)
+
+
+@jit
+def orientation(ax: f32, ay: f32, bx: f32, by: f32, cx: f32, cy: f32, radius: f32) -> f32:
+    """+1 if the corners turn from +x to +y, -1 if the other way, 0 without an area.
 
     A pixel centre on the extension of a face that is a line is zero to all its sides: rounding alone would
     decide whether it is inside.
     """
+    ux, uy, vx, vy, wx, wy = bx - ax, by - ay, cx - bx, cy - by, ax - cx, ay - cy
     longest2 = max(ux * ux + uy * uy, vx * vx + vy * vy, wx * wx + wy * wy)
-    has_area = abs(ux * vy - uy * vx) > FLAT * (longest2 + math.sqrt(longest2) * radius)
-    return ZERO if has_area else HUGE
+    area = ux * vy - uy * vx
+    if abs(area) <= FLAT * (longest2 + math.sqrt(longest2) * radius):
+        return ZERO
+    return ONE if area > ZERO else -ONE
+
+
+@jit
+def side(ax: f32, ay: f32, bx: f32, by: f32, px: f32, py: f32, unit: f32) -> tuple[f32, f32, f32, f32, f32]:
+    """The side from a to b as seen from the point p: (step x, step y, length, along, left).
+
+    `along` is how far p lies along the side and `left` how far beside it; all in softness lengths, `unit` of
+    which are a pixel. A pixel further in x, they are `step x` and `-step y` more, and a pixel further in y
+    `step y` and `step x`. A side without length has the direction +x.
+    """
+    # in double precision: the corners of a face close to the camera are thousands of pixels away
+    ux, uy = np.float64(bx) - np.float64(ax), np.float64(by) - np.float64(ay)
+    dx, dy = np.float64(px) - np.float64(ax), np.float64(py) - np.float64(ay)
+    length = math.sqrt(ux * ux + uy * uy)
+    if length <= SHORTEST:
+        return unit, ZERO, ZERO, f32(dx * unit), f32(dy * unit)
+    scale = unit / length
+    sx, sy = ux * scale, uy * scale
+    return f32(sx), f32(sy), f32(length * unit), f32(dx * sx + dy * sy), f32(dy * sx - dx * sy)
 
 
 @jit
 def optical_depth(screen: Floats, faces: Ints, softness_px: f32, radius: f32, image: Floats) -> None:
     """Adds softplus(x_f(p)) of every face to `image` (H, W + LANES). screen (V, 3), faces (F, 3)."""
     height, width = image.shape[0], image.shape[1] - LANES
-    scale = ONE / softness_px
+    unit = ONE / math.sqrt(softness_px)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         if min(screen[a, 2], screen[b, 2], screen[c, 2]) <= NEAREST_DEPTH:
             continue
-        ax, ay, bx, by, cx, cy = (
-            screen[a, 0],
-            screen[a, 1],
-            screen[b, 0],
-            screen[b, 1],
-            screen[c, 0],
-            screen[c, 1],
-        )
-        x0 = max(0, math.floor(min(ax, bx, cx) - radius))
-        x1 = min(width - 1, math.floor(max(ax, bx, cx) + radius))
-        y0 = max(0, math.floor(min(ay, by, cy) - radius))
-        y1 = min(height - 1, math.floor(max(ay, by, cy) + radius))
-        ux, uy, vx, vy, wx, wy = bx - ax, by - ay, cx - bx, cy - by, ax - cx, ay - cy
-        iu = ONE / max(ux * ux + uy * uy, TINY)
-        iv = ONE / max(vx * vx + vy * vy, TINY)
-        iw = ONE / max(wx * wx + wy * wy, TINY)
-        least = inside_from(ux, uy, vx, vy, wx, wy, radius)
+        ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
+        cx, cy = screen[c, 0], screen[c, 1]
+        x0, x1 = reach(width, radius, ax, bx, cx)
+        y0, y1 = reach(height, radius, ay, by, cy)
+        px, py = f32(x0) + HALF, f32(y0) + HALF
+        ux, uy, u, u0, nu0 = side(ax, ay, bx, by, px, py, unit)
+        vx, vy, v, v0, nv0 = side(bx, by, cx, cy, px, py, unit)
+        wx, wy, w, w0, nw0 = side(cx, cy, ax, ay, px, py, unit)
+        turn = orientation(ax, ay, bx, by, cx, cy, radius)
         for y in range(y0, y1 + 1):
-            py = f32(y) + HALF
-            day, dby, dcy = py - ay, py - by, py - cy
+            j = f32(y - y0)
+            tu, tv, tw = u0 + j * uy, v0 + j * vy, w0 + j * wy
+            nu, nv, nw = nu0 + j * ux, nv0 + j * vx, nw0 + j * wx
             row = image[y]
             for start in range(x0, x1 + 1, LANES):
                 run = row[start : start + LANES]
-                left = f32(start) + HALF
+                i = f32(start - x0)
                 for k in range(LANES):
-                    px = left + f32(k)
-                    dax, dbx, dcx = px - ax, px - bx, px - cx
-                    t = min(max((dax * ux + day * uy) * iu, ZERO), ONE)
-                    qx, qy = dax - t * ux, day - t * uy
-                    d2 = qx * qx + qy * qy
-                    t = min(max((dbx * vx + dby * vy) * iv, ZERO), ONE)
-                    qx, qy = dbx - t * vx, dby - t * vy
-                    d2 = min(d2, qx * qx + qy * qy)
-                    t = min(max((dcx * wx + dcy * wy) * iw, ZERO), ONE)
-                    qx, qy = dcx - t * wx, dcy - t * wy
-                    d2 = min(d2, qx * qx + qy * qy) * scale
-                    cu, cv, cw = ux * day - uy * dax, vx * dby - vy * dbx, wx * dcy - wy * dcx
-                    inside = (min(cu, cv, cw) > least) | (max(cu, cv, cw) < -least)
+                    x = i + f32(k)
+                    along, left_u = tu + x * ux, nu - x * uy
+                    beyond = along - min(max(along, ZERO), u)
+                    d2 = left_u * left_u + beyond * beyond
+                    along, left_v = tv + x * vx, nv - x * vy
+                    beyond = along - min(max(along, ZERO), v)
+                    d2 = min(d2, left_v * left_v + beyond * beyond)
+                    along, left_w = tw + x * wx, nw - x * wy
+                    beyond = along - min(max(along, ZERO), w)
+                    d2 = min(d2, left_w * left_w + beyond * beyond)
+                    inside = min(turn * left_u, turn * left_v, turn * left_w) > ZERO
                     value = log1p_unit(exp_negative(d2)) + (d2 if inside else ZERO)
                     run[k] += value if (inside | (d2 < CUT)) else ZERO
 
 
 @jit
-def next_nonzero(grad: Floats, following: Ints) -> None:
-    """following[y, x] = the first column >= x with a gradient worth following, or W. grad (H, W)."""
+def next_nonzero(grad: Floats, padded: Floats, following: Ints) -> None:
+    """Prepares a gradient (H, W) for `optical_depth_backward`.
+
+    `padded` (H, W + LANES) is a copy with zeros appended; following[y, x] (H, W + 1) is the first column >= x
+    with a gradient worth following, or W.
+    """
     height, width = grad.shape
     largest = ZERO
     for y in range(height):
         for x in range(width):
-            largest = max(largest, abs(grad[y, x]))
+            value = grad[y, x]
+            padded[y, x] = value
+            largest = max(largest, abs(value))
+        padded[y, width:] = ZERO
     least = largest * f32(1e-7)
     for y in range(height):
         upcoming = width
@@ -141,87 +171,78 @@ def optical_depth_backward(
 ) -> None:
     """Adds dL/d(x, y) of every vertex to `out` (V, 2), from grad = dL/dS (H, W + LANES)."""
     height, width = grad.shape[0], grad.shape[1] - LANES
-    scale = ONE / softness_px
+    unit = ONE / math.sqrt(softness_px)
+    sums = np.empty((6, LANES), np.float32)  # by lane: a reduction within the runs would cost more than they
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         if min(screen[a, 2], screen[b, 2], screen[c, 2]) <= NEAREST_DEPTH:
             continue
-        ax, ay, bx, by, cx, cy = (
-            screen[a, 0],
-            screen[a, 1],
-            screen[b, 0],
-            screen[b, 1],
-            screen[c, 0],
-            screen[c, 1],
-        )
-        x0 = max(0, math.floor(min(ax, bx, cx) - radius))
-        x1 = min(width - 1, math.floor(max(ax, bx, cx) + radius))
-        y0 = max(0, math.floor(min(ay, by, cy) - radius))
-        y1 = min(height - 1, math.floor(max(ay, by, cy) + radius))
-        ux, uy, vx, vy, wx, wy = bx - ax, by - ay, cx - bx, cy - by, ax - cx, ay - cy
-        iu = ONE / max(ux * ux + uy * uy, TINY)
-        iv = ONE / max(vx * vx + vy * vy, TINY)
-        iw = ONE / max(wx * wx + wy * wy, TINY)
-        least = inside_from(ux, uy, vx, vy, wx, wy, radius)
-        gax, gay, gbx, gby, gcx, gcy = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
+        ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
+        cx, cy = screen[c, 0], screen[c, 1]
+        x0, x1 = reach(width, radius, ax, bx, cx)
+        y0, y1 = reach(height, radius, ay, by, cy)
+        px, py = f32(x0) + HALF, f32(y0) + HALF
+        ux, uy, u, u0, nu0 = side(ax, ay, bx, by, px, py, unit)
+        vx, vy, v, v0, nv0 = side(bx, by, cx, cy, px, py, unit)
+        wx, wy, w, w0, nw0 = side(cx, cy, ax, ay, px, py, unit)
+        turn = orientation(ax, ay, bx, by, cx, cy, radius)
+        iu, iv, iw = ONE / max(u, TINY), ONE / max(v, TINY), ONE / max(w, TINY)
+        sums[:] = ZERO
         for y in range(y0, y1 + 1):
-            py = f32(y) + HALF
-            day, dby, dcy = py - ay, py - by, py - cy
+            j = f32(y - y0)
+            tu, tv, tw = u0 + j * uy, v0 + j * vy, w0 + j * wy
+            nu, nv, nw = nu0 + j * ux, nv0 + j * vx, nw0 + j * wx
             row = grad[y]
-            start = following[y, x0] if x0 <= width else width
+            start = following[y, x0] if x0 <= x1 else width
             while start <= x1:
                 run = row[start : start + LANES]
-                left = f32(start) + HALF
+                i = f32(start - x0)
                 for k in range(LANES):
-                    px = left + f32(k)
-                    dax, dbx, dcx = px - ax, px - bx, px - cx
-                    # nearest point of the outline: offset q from it, weights (za, zb, zc) of the corners
-                    t = min(max((dax * ux + day * uy) * iu, ZERO), ONE)
-                    qx, qy = dax - t * ux, day - t * uy
-                    d2 = qx * qx + qy * qy
-                    za, zb, zc = ONE - t, t, ZERO
-                    t = min(max((dbx * vx + dby * vy) * iv, ZERO), ONE)
-                    rx, ry = dbx - t * vx, dby - t * vy
-                    e2 = rx * rx + ry * ry
-                    nearer = e2 < d2
-                    d2 = e2 if nearer else d2
-                    qx = rx if nearer else qx
-                    qy = ry if nearer else qy
-                    za = ZERO if nearer else za
-                    zb = ONE - t if nearer else zb
-                    zc = t if nearer else zc
-                    t = min(max((dcx * wx + dcy * wy) * iw, ZERO), ONE)
-                    rx, ry = dcx - t * wx, dcy - t * wy
-                    e2 = rx * rx + ry * ry
-                    nearer = e2 < d2
-                    d2 = (e2 if nearer else d2) * scale
-                    qx = rx if nearer else qx
-                    qy = ry if nearer else qy
-                    za = t if nearer else za
-                    zb = ZERO if nearer else zb
-                    zc = ONE - t if nearer else zc
-                    cu, cv, cw = ux * day - uy * dax, vx * dby - vy * dbx, wx * dcy - wy * dcx
-                    inside = (min(cu, cv, cw) > least) | (max(cu, cv, cw) < -least)
-                    # dS/dx = sigmoid(x); dx/dcorner = -+ 2 q z / s
+                    x = i + f32(k)
+                    # nearest point of the outline: its side (dx, dy), the share t of the side before it, and
+                    # the offset from it, `beyond` in the side's direction and `left` across
+                    along, left_u = tu + x * ux, nu - x * uy
+                    on_u = min(max(along, ZERO), u)
+                    beyond_u = along - on_u
+                    d2_u = left_u * left_u + beyond_u * beyond_u
+                    along, left_v = tv + x * vx, nv - x * vy
+                    on_v = min(max(along, ZERO), v)
+                    beyond_v = along - on_v
+                    d2_v = left_v * left_v + beyond_v * beyond_v
+                    along, left_w = tw + x * wx, nw - x * wy
+                    on_w = min(max(along, ZERO), w)
+                    beyond_w = along - on_w
+                    d2_w = left_w * left_w + beyond_w * beyond_w
+                    d2 = min(d2_u, d2_v, d2_w)
+                    is_v, is_w = d2_v == d2, d2_w == d2
+                    left = left_w if is_w else (left_v if is_v else left_u)
+                    beyond = beyond_w if is_w else (beyond_v if is_v else beyond_u)
+                    t = on_w * iw if is_w else (on_v * iv if is_v else on_u * iu)
+                    dx = wx if is_w else (vx if is_v else ux)
+                    dy = wy if is_w else (vy if is_v else uy)
+                    inside = min(turn * left_u, turn * left_v, turn * left_w) > ZERO
+                    # dS/dx = sigmoid(x); dx/dcorner = -+ 2 q z / s, z the weight of the corner
                     e = exp_negative(d2)
                     weight = (ONE if inside else -e) / (ONE + e) * run[k]
                     weight = weight if (inside | (d2 < CUT)) else ZERO
-                    sx, sy = weight * qx, weight * qy
-                    gax += sx * za
-                    gay += sy * za
-                    gbx += sx * zb
-                    gby += sy * zb
-                    gcx += sx * zc
-                    gcy += sy * zc
+                    qx, qy = weight * (beyond * dx - left * dy), weight * (beyond * dy + left * dx)
+                    za = t if is_w else (ZERO if is_v else ONE - t)
+                    zb = ZERO if is_w else (ONE - t if is_v else t)
+                    zc = ONE - t if is_w else (t if is_v else ZERO)
+                    sums[0, k] += qx * za
+                    sums[1, k] += qy * za
+                    sums[2, k] += qx * zb
+                    sums[3, k] += qy * zb
+                    sums[4, k] += qx * zc
+                    sums[5, k] += qy * zc
                 start += LANES
                 start = following[y, start] if start < width else width
-        outward = -TWO * scale
-        out[a, 0] += outward * gax
-        out[a, 1] += outward * gay
-        out[b, 0] += outward * gbx
-        out[b, 1] += outward * gby
-        out[c, 0] += outward * gcx
-        out[c, 1] += outward * gcy
+        out[a, 0] -= TWO * sums[0].sum()
+        out[a, 1] -= TWO * sums[1].sum()
+        out[b, 0] -= TWO * sums[2].sum()
+        out[b, 1] -= TWO * sums[3].sum()
+        out[c, 0] -= TWO * sums[4].sum()
+        out[c, 1] -= TWO * sums[5].sum()
 
 
 @jit
