@@ -88,7 +88,8 @@ static __device__ inline Foot nearest_on_side(const Side& side, float px, float 
     foot.t = fminf(fmaxf((dx * side.ux + dy * side.uy) * side.inverse, 0.0f), 1.0f);
     foot.qx = dx - foot.t * side.ux, foot.qy = dy - foot.t * side.uy;
     foot.squared = foot.qx * foot.qx + foot.qy * foot.qy;
-    foot.turn = side.ux * dy - side.uy * dx;
+    // rounded twice, never fused: a point on the line of a face without area must not seem to be inside
+    foot.turn = __fsub_rn(__fmul_rn(side.ux, dy), __fmul_rn(side.uy, dx));
     return foot;
 }
 
@@ -267,7 +268,7 @@ extern "C" __global__ void image_symmetry(
     value[at] = sigma * difference * difference - cost * logf(sigma);
     d_seen[flipped] = 2.0f * sigma * difference * clear;
     d_mirrored[at] = -2.0f * sigma * difference * clear_mirrored;
-    const float d_sigma = difference * difference - cost / sigma;
+    const float d_sigma = difference * difference - (blend >= 1e-6f ? cost / sigma : 0.0f);
     for (int k = 0; k < 3; ++k)
         atomicAdd(d_confidence + corner[k], (Word)__float2ll_rn(weight[k] * d_sigma * fixed_one));
 }
