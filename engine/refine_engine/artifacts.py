@@ -6,6 +6,7 @@ import io
 import json
 import platform
 from dataclasses import asdict, replace
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -110,6 +111,7 @@ def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> di
     }
 
 
+@cache
 def _versions() -> dict[str, str]:
     found = {}
     for name in _VERSIONED:

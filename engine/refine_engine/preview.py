@@ -88,9 +88,8 @@ def shade(mesh: Mesh, camera: Camera, fragments: Fragments) -> Picture:
     normal = torch.where(normal[:, 2:] > 0, -normal, normal)  # towards the camera, which looks along +Z
     light = torch.nn.functional.normalize(torch.tensor([-0.45, -0.6, -0.65]), dim=0)
     brightness = 0.25 + 0.75 * (normal @ light).clamp_min(0.0)
-    face = fragments.face[0]
-    lit = brightness[face.clamp_min(0)][..., None] * torch.tensor(_SURFACE)
-    return torch.where(face[..., None] >= 0, lit, torch.tensor(_PAPER)).float().numpy()
+    colours = torch.cat([brightness[:, None] * torch.tensor(_SURFACE), torch.tensor([_PAPER])])
+    return colours[fragments.face[0]].float().numpy()  # background is -1: the last
 
 
 def side_camera(camera: Camera, mesh: Mesh, pixels: int) -> Camera:
@@ -113,7 +112,7 @@ def side_camera(camera: Camera, mesh: Mesh, pixels: int) -> Camera:
 def encode(picture: Picture) -> bytes:
     """PNG bytes of a picture."""
     stream = io.BytesIO()
-    Image.fromarray((picture.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(stream, "PNG", optimize=True)
+    Image.fromarray((picture.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(stream, "PNG")
     return stream.getvalue()
 
 

@@ -3,70 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import re
 import signal
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 import pytest
+from serve_process import serve
 
 from refine_client import RefineClient
 from refine_proto.models import State
 
 pytest.importorskip("refine_worker")
 SAMPLE = Path(__file__).parents[3] / "examples/samples/chair"
-PROGRAM = "import sys, refine_service.commands.serve as s; sys.exit(s.serve_command(sys.argv[1:]))"
-
-
-@dataclass(frozen=True)
-class Served:
-    """A running `refine serve` and what it printed until it was ready."""
-
-    process: subprocess.Popen[str]
-    lines: list[str]
-
-    @property
-    def url(self) -> str:
-        found = re.search(r"http://\S+", self.lines[0])
-        assert found, self.lines
-        return found[0]
-
-    def family(self) -> list[psutil.Process]:
-        return psutil.Process(self.process.pid).children(recursive=True)
-
-
-@contextmanager
-def serve(folder: Path) -> Iterator[Served]:
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("REFINE_")}
-    environment |= {"REFINE_DEVICES": "cpu", "REFINE_SLOTS_PER_DEVICE": "1"}
-    arguments = ["--data-folder", str(folder), "--http-port", "0", "--grpc-port", "0"]
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *arguments],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    try:
-        lines = []
-        for line in process.stdout:
-            lines.append(line)
-            if line.startswith("ready"):
-                break
-        yield Served(process, lines)
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-        process.stderr.close()
 
 
 def test_a_job_and_a_clean_stop(tmp_path: Path) -> None:
