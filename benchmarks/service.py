@@ -208,7 +208,7 @@ def memory(service: Installation) -> None:
 # ---- overhead ----
 
 
-def overhead(service: Installation, jobs: int = 9) -> None:
+def overhead(service: Installation, jobs: int = 10) -> None:
     """What a job of 20 iterations takes beyond the engine's own time, on a warm slot."""
     if importlib.util.find_spec("refine_worker") is None:
         print("overhead: not measured, refine_worker is not installed")
