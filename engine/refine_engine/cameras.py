@@ -1,4 +1,4 @@
-"""Pinhole and orthographic projection, reflected cameras, square crops. All batched over views B."""
+"""Pinhole and orthographic projection, reflected cameras. All batched over views B."""
 
 from __future__ import annotations
 
