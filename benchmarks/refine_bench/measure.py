@@ -82,8 +82,7 @@ def peak_memory_bytes() -> int:
 def stage_seconds(fit: Fit) -> dict[str, float]:
     """CPU seconds of the parts of one iteration, forward and backward, and of the whole as "iteration"."""
     network, config = fit.network, fit.config
-    features = (network.features(fit.seen, fit.grid) if fit.features is None else fit.features).detach()
-    features.requires_grad_(config.train_encoder)
+    features = fit.features().detach().requires_grad_(config.train_encoder)
     with torch.no_grad():
         offsets, confidence = network(features, fit.coarse, fit.topology)
         depth, _ = fit.render(fit.coarse + offsets, confidence)
@@ -94,8 +93,8 @@ def stage_seconds(fit: Fit) -> dict[str, float]:
     confidence = confidence.requires_grad_()
 
     def encoder() -> None:
-        if fit.features is None:
-            network.features(fit.seen, fit.grid).sum().backward()
+        if config.train_encoder:
+            fit.features().sum().backward()
 
     def graph() -> None:
         moved, sigma = network(features, fit.coarse, fit.topology)

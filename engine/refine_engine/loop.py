@@ -19,6 +19,7 @@ from torch import Tensor
 from . import losses
 from .config import RefineConfig, Stage
 from .cuda_graph import repeatable
+from .distinct_patches import DistinctPatches
 from .errors import Cancelled, Diverged
 from .metrics import silhouette_iou
 from .network import Refiner, initialise
@@ -122,10 +123,12 @@ class Fit:
         on_card = self.coarse.is_cuda
         if not on_card:
             network.encoder.store_channels_last()
-        self.features: Tensor | None = None
-        if not config.train_encoder:
+        if config.train_encoder:
+            self.features = self._features_of_the_weights()
+        else:
             network.encoder.requires_grad_(False)
-            self.features = network.features(self.seen, self.grid)
+            constant = network.features(self.seen, self.grid)
+            self.features = lambda: constant
         trained = [p for p in network.parameters() if p.requires_grad]
         self.optimiser = torch.optim.Adam(trained, config.learning_rate, fused=True, capturable=on_card)
 
@@ -137,6 +140,14 @@ class Fit:
         self.best_confidence = torch.ones_like(self.coarse[:, 0])
         self.best_iteration = torch.zeros_like(self.iteration)
 
+    def _features_of_the_weights(self) -> Callable[[], Tensor]:
+        """(V, 192) from the encoder's weights as they are then."""
+        encoder = self.network.encoder
+        if self.coarse.is_cuda:
+            return lambda: self.network.features(self.seen, self.grid)
+        distinct = DistinctPatches(self.seen, self.grid)
+        return lambda: distinct.features(encoder)
+
     def enter(self, stage: Stage) -> None:
         """Totals of different stages do not compare: the best iterate is the best of the last one."""
         self.stage = stage
@@ -146,8 +157,7 @@ class Fit:
 
     def step(self) -> None:
         """One iteration."""
-        features = self.network.features(self.seen, self.grid) if self.features is None else self.features
-        offsets, confidence = self.network(features, self.coarse, self.topology)
+        offsets, confidence = self.network(self.features(), self.coarse, self.topology)
         vertices = self.coarse + offsets
         depth, image_symmetry_loss = self.render(vertices, confidence)
         nearest = nearest_mirrored(vertices, self.mirror)

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .topology import Topology, neighbour_sum
+from .topology import Topology
 
 WIDTH = 128  # channels of the graph convolutions
 DEPTH = 8  # graph convolutions
@@ -64,16 +64,15 @@ class Encoder(nn.Module):
 
 
 class GraphConv(nn.Module):
-    """w0 x_v + sum over the neighbours u of w1 x_u + b, as one matrix product and one gather."""
+    """w0 x_v + b0 + sum over the neighbours u of (w1 x_u + b1), as one matrix product and one gather."""
 
     def __init__(self, channels_in: int, channels: int) -> None:
         super().__init__()
         self.own_and_neighbour = nn.Linear(channels_in, 2 * channels)
 
     def forward(self, x: Tensor, topology: Topology) -> Tensor:
-        both: Tensor = self.own_and_neighbour(x)
-        own, neighbour = both.chunk(2, 1)
-        return own + neighbour_sum(neighbour, topology)
+        both: Tensor = self.own_and_neighbour(x)  # (V, 2C): what v keeps, what it gives to each neighbour
+        return topology.own_and_adjacency @ both.view(2 * len(x), -1)
 
 
 class Refiner(nn.Module):
@@ -102,7 +101,7 @@ class Refiner(nn.Module):
         """(V, 192) and normalised (V, 3) -> displacement (V, 3), symmetry confidence (V,) in [0, 1]."""
         x = torch.cat([self.bottleneck(features), vertices], 1)
         for conv in self.convs:
-            x = F.relu(conv(x, topology))
+            x = F.relu_(conv(x, topology))
         confidence: Tensor = self.confidence(x)
         return self.displacement(x), confidence[:, 0]
 

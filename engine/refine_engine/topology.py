@@ -5,23 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
+
+from .sparse import SparseMatrix
 
 
 @dataclass(frozen=True)
 class Topology:
     """Index tensors of a triangle mesh.
 
-    The neighbours of vertex v are `neighbours[offsets[v] : offsets[v + 1]]`. A hinge is two faces that share
-    an edge: corners (start, end, opposite in one face, opposite in the other); an edge of three or more faces
-    gives a hinge for each pair of consecutive ones.
+    A hinge is two faces that share an edge: corners (start, end, opposite in one face, opposite in the
+    other); an edge of three or more faces gives a hinge for each pair of consecutive ones.
     """
 
     faces: Tensor  # (F, 3) int64
     edges: Tensor  # (E, 2) int64, each once, smaller index first
-    neighbours: Tensor  # (2E,) int64
-    offsets: Tensor  # (V,) int64, where each vertex's neighbours begin
+    adjacency: SparseMatrix  # (V, V), sums over the neighbours
+    own_and_adjacency: SparseMatrix  # (V, 2V), row 2v of the factor is v's own, row 2v + 1 for its neighbours
     degree: Tensor  # (V, 1) float32, number of neighbours, at least 1
     hinges: Tensor  # (P, 4) int64
 
@@ -46,33 +46,18 @@ class Topology:
 
         centre = torch.cat([edges[:, 0], edges[:, 1]])
         neighbour = torch.cat([edges[:, 1], edges[:, 0]])
-        order = centre.argsort(stable=True)
+        adjacency = SparseMatrix.of(centre, neighbour, (vertex_count, vertex_count))
+        vertex = torch.arange(vertex_count, device=faces.device)
+        own_and_adjacency = SparseMatrix.of(
+            torch.cat([vertex, centre]),
+            torch.cat([2 * vertex, 2 * neighbour + 1]),
+            (vertex_count, 2 * vertex_count),
+        )
         count = torch.bincount(centre, minlength=vertex_count)
-        offsets = count.cumsum(0) - count
         degree = count.clamp_min(1).to(torch.float32)[:, None]
-        return Topology(faces, edges, neighbour[order], offsets, degree, hinges)
-
-
-class _NeighbourSum(torch.autograd.Function):
-    """The adjacency matrix is symmetric, so the gradient is the same sum: a gather, never a scatter."""
-
-    @staticmethod
-    def forward(ctx: object, x: Tensor, topology: Topology) -> Tensor:
-        ctx.topology = topology  # type: ignore[attr-defined]
-        return F.embedding_bag(topology.neighbours, x.contiguous(), topology.offsets, mode="sum")
-
-    @staticmethod
-    def backward(ctx: object, *grads: Tensor) -> tuple[Tensor, None]:
-        topology: Topology = ctx.topology  # type: ignore[attr-defined]
-        return F.embedding_bag(topology.neighbours, grads[0].contiguous(), topology.offsets, mode="sum"), None
-
-
-def neighbour_sum(x: Tensor, topology: Topology) -> Tensor:
-    """sum over the neighbours u of v of x_u: (V, C) -> (V, C)."""
-    result: Tensor = _NeighbourSum.apply(x, topology)
-    return result
+        return Topology(faces, edges, adjacency, own_and_adjacency, degree, hinges)
 
 
 def neighbour_mean(x: Tensor, topology: Topology) -> Tensor:
     """Mean over the neighbours of v, zero for a vertex without any: (V, C) -> (V, C)."""
-    return neighbour_sum(x, topology) / topology.degree
+    return (topology.adjacency @ x) / topology.degree

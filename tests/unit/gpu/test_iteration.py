@@ -12,6 +12,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from refine_engine import Mesh, RefineConfig, View, refine
 from refine_engine.config import Stage
 from refine_engine.cuda_graph import Backlog, repeatable
+from refine_engine.loop import Fit
 from refine_engine.silhouette import cpu, cuda
 
 # each waits for the card and brings a value to the host, by itself or to size its result
@@ -46,9 +47,11 @@ def config(iterations: int) -> RefineConfig:
 
 @pytest.fixture
 def cuda_back_end(emulator: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """`refine` on CPU tensors takes the functions of the CUDA back end."""
+    """`refine` on CPU tensors takes the functions of the CUDA back end, and the encoder on every pixel."""
     for name in ("optical_depth", "rasterize", "image_symmetry"):
         monkeypatch.setattr(cpu, name, getattr(cuda, name))
+    dense = lambda fit: lambda: fit.network.features(fit.seen, fit.grid)  # noqa: E731
+    monkeypatch.setattr(Fit, "_features_of_the_weights", dense)
     return emulator
 
 
