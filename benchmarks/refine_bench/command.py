@@ -19,7 +19,7 @@ from .cases import Case, SetInvalid, read_bytes
 from .coarse_files import FRAMES, CoarseFolder
 from .methods import ABLATION, BASELINES, PLAIN, Method, ablation, make_method
 from .records import Results
-from .remote import ServerMethod, server_method
+from .remote import server_method
 from .report import write_report
 from .rerender import rerender
 from .runner import Plan, run
@@ -70,7 +70,24 @@ def _bench(options: argparse.Namespace) -> int:
     cases = [case for case in CASES[options.set](options) if _chosen(case, options)][: options.limit]
     if not cases:
         raise SetInvalid("expected at least one case, but the options leave none")
-    methods = _methods(options)
+    folder = options.output or Path("out") / f"bench-{options.set}"
+    if not options.server:
+        config = PRESETS[options.preset]()
+        names = ablation(config) if options.ablation else options.method or [PLAIN]
+        return _run(options, cases, {name: make_method(name, config) for name in names}, folder)
+    with server_method(options.server, options.preset, options.api_key) as server:
+        code = _run(options, cases, {SERVER: server}, folder)
+    summary = json.dumps(server.summary(), indent=2)
+    (folder / "throughput.json").write_text(summary + "\n", encoding="utf-8")
+    print(summary)
+    return code
+
+
+def _run(
+    options: argparse.Namespace, cases: Sequence[Case], methods: Mapping[str, Method], folder: Path
+) -> int:
+    settings = {name: getattr(options, name) for name in ("set", "preset", "normalisation", "server")}
+    results = Results(folder, settings)
     plan = Plan(
         cases,
         methods,
@@ -78,17 +95,9 @@ def _bench(options: argparse.Namespace) -> int:
         options.normalisation,
         in_flight=options.in_flight if options.server else 1,
     )
-    folder = options.output or Path("out") / f"bench-{options.set}"
-    settings = {name: getattr(options, name) for name in ("set", "preset", "normalisation", "server")}
-    results = Results(folder, settings)
     with Show() as show:
         run(plan, results, show)
-    code = _write(results, plan, options)
-    if isinstance(server := methods.get(SERVER), ServerMethod):
-        summary = json.dumps(server.summary(), indent=2)
-        (folder / "throughput.json").write_text(summary + "\n", encoding="utf-8")
-        print(summary)
-    return code
+    return _write(results, plan, options)
 
 
 def _write(results: Results, plan: Plan, options: argparse.Namespace) -> int:
@@ -116,14 +125,6 @@ def _draw_figure(results: Results, methods: Sequence[str]) -> None:
         print(f"no figure: {error.name} is not installed; pip install 'refine-mesh[bench]'", file=sys.stderr)
         return
     (results.folder / "figure.png").write_bytes(draw_figure(results.records, methods))
-
-
-def _methods(options: argparse.Namespace) -> Mapping[str, Method]:
-    if options.server:
-        return {SERVER: server_method(options.server, options.preset, options.api_key)}
-    config = PRESETS[options.preset]()
-    names = ablation(config) if options.ablation else options.method or [PLAIN]
-    return {name: make_method(name, config) for name in names}
 
 
 def _chosen(case: Case, options: argparse.Namespace) -> bool:

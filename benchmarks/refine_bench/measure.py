@@ -119,7 +119,9 @@ def stage_seconds(fit: Fit) -> dict[str, float]:
         "nearest mirrored vertices": lambda: nearest_mirrored(fit.coarse + offsets, fit.mirror),
         "optimiser": fit.optimiser.step,
     }
-    iteration = cpu_seconds(fit.step)  # first: the optimiser alone, with the same gradients again, leads astray
+    iteration = cpu_seconds(
+        fit.step
+    )  # first: the optimiser alone, with the same gradients again, leads astray
     return {name: cpu_seconds(part) for name, part in parts.items()} | {"iteration": iteration}
 
 

@@ -8,7 +8,8 @@ import statistics
 import tempfile
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -90,16 +91,18 @@ class ServerMethod:
         }
 
 
-def server_method(url: str, preset: str, api_key: str | None) -> ServerMethod:
+@contextmanager
+def server_method(url: str, preset: str, api_key: str | None) -> Iterator[ServerMethod]:
     """Through RefineClient; raises SetInvalid when no server answers at the address."""
     from refine_client import RefineClient
 
-    try:
-        client = RefineClient(url, api_key=api_key)
-        client.list(limit=1)
-    except Exception as error:  # the tree of refine_proto.errors: each says what to do
-        raise SetInvalid(f"expected a server that answers at {url}, got: {error}") from error
-    return ServerMethod(client, preset)
+    with ExitStack() as connection:
+        try:
+            client = connection.enter_context(RefineClient(url, api_key=api_key))
+            client.list(limit=1)
+        except Exception as error:  # the tree of refine_proto.errors: each says what to do
+            raise SetInvalid(f"expected a server that answers at {url}, got: {error}") from error
+        yield ServerMethod(client, preset)
 
 
 def mesh_bytes(mesh: Mesh) -> bytes:
