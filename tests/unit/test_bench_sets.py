@@ -226,6 +226,7 @@ def test_shapenet_wrong_folders_are_refused(tmp_path: Path) -> None:
 
 def test_shapenet_asym_takes_the_asymmetric_models(tmp_path: Path) -> None:
     case = only(shapenet(tmp_path, asymmetric=True).cases())
+    assert case.asymmetric  # the ablation compares both lambda_B on it
     case.load()
     write_mesh(tmp_path / "models" / SYNSET / MODEL / "model.obj", make_shape("car", 0))
     with pytest.raises(CaseSkipped, match="not in ShapeNetAsym"):

@@ -100,6 +100,7 @@ class ShapeNet:
                 f"{SYNSETS[synset]}_{model}_{self.view:02}",
                 SYNSETS[synset],
                 partial(self.load, synset, model),
+                asymmetric=self.asymmetric,  # `load` skips the others
             )
             for synset, model in chosen
             if self._wanted(synset)
