@@ -5,8 +5,8 @@
     python benchmarks/engine.py quality examples/samples -o RESULTS    presets and seeds against ground truth
     python benchmarks/engine.py iteration --vertices 1500 --side 224   one size, as JSON
 
-CPU times are of one thread: they barely depend on what else runs on the machine. `--save FILE.json` keeps the
-numbers of `speed` and `scale`, and `--previous FILE.json` prints their ratio to an earlier run's.
+CPU times are of one thread. What else runs on the processor, also in other virtual machines, changes them by
+up to two thirds: compare only what one run measured. `speed --against COMMIT` measures another version in turn.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import argparse
 import json
 import os
 import platform
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -36,7 +37,8 @@ from refine_engine.options import PRESETS
 from refine_engine.scene import Camera, Mesh, View
 from refine_engine.silhouette import cpu, oracle
 
-DEFAULT_CASE = Path(__file__).resolve().parent.parent / "examples" / "samples" / "airplane"
+ROOT = Path(__file__).resolve().parent.parent
+DEFAULT_CASE = ROOT / "examples" / "samples" / "airplane"
 VERTICES = (500, 1500, 5000, 20_000, 100_000)
 SIDES = (112, 224, 448)
 RUN = "import sys; from refine_engine.commands.run import run_command; sys.exit(run_command(sys.argv[1:]))"
@@ -53,14 +55,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, "
         f"torch {torch.__version__}\n"
     )
-    if options.command == "quality":
-        print_quality(options)
-        return
-    numbers = speed(options) if options.command == "speed" else scale(options)
-    if options.previous:
-        print_ratios(numbers, json.loads(options.previous.read_text()))
-    if options.save:
-        options.save.write_text(json.dumps(numbers, indent=2) + "\n")
+    parts = {"speed": speed, "scale": scale, "quality": print_quality}
+    parts[options.command](options)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
@@ -72,20 +68,23 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     print(flush=True)
 
 
-def speed(options: argparse.Namespace) -> Numbers:
-    """The renderer, the stages of an iteration, and whole runs."""
+def speed(options: argparse.Namespace) -> None:
+    """The renderer, the stages of an iteration, another version, and whole runs."""
     inputs = measure.read_case(options.case)
     mesh, view = inputs.mesh_file.mesh, inputs.view
-    numbers: Numbers = {"gemm_gflops": measure.peak_flop_per_second() / 1e9}
-    print(f"{options.case.name}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces. "
-          f"Matrix products reach {numbers['gemm_gflops']:.0f} GFLOP/s on one thread.\n")  # fmt: skip
-    numbers |= renderer(mesh, view)
+    rate = measure.peak_flop_per_second() / 1e9
+    print(f"{options.case.name}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces. ", end="")
+    print(f"Matrix products reach {rate:.0f} GFLOP/s on one thread.\n")
+    renderer(mesh, view)
     for preset, make in PRESETS.items():
-        numbers |= stages(preset, measure.start(mesh, view, make()))
-    return numbers if options.no_runs else numbers | runs(options.case)
+        stages(preset, measure.start(mesh, view, make()))
+    if options.against:
+        against(options.against)
+    if not options.no_runs:
+        runs(options.case)
 
 
-def renderer(mesh: Mesh, view: View) -> Numbers:
+def renderer(mesh: Mesh, view: View) -> None:
     """The CPU renderer against the oracle, per pair, and on two threads."""
     config = PRESETS["paper"]()
     fit = measure.start(mesh, view, config)
@@ -102,21 +101,14 @@ def renderer(mesh: Mesh, view: View) -> Numbers:
         torch.set_num_threads(threads)
         walls.append(measure.wall_seconds(lambda: cpu.optical_depth(screen, faces, side, softness)))
     torch.set_num_threads(1)
-    numbers = {
-        "renderer_over_oracle": reference / ours,
-        "renderer_forward_ns_per_pair": forward / pairs * 1e9,
-        "renderer_backward_ns_per_pair": backward / pairs * 1e9,
-        "renderer_two_threads": walls[0] / walls[1],
-    }
     print("## Renderer\n")
     table(["", "value"], [
-        ["one view of 64 x 64, times faster than the torch oracle", numbers["renderer_over_oracle"]],
+        ["one view of 64 x 64, times faster than the torch oracle", reference / ours],
         [f"{len(screen)} views of 224 x 224: contributing (pixel, face) pairs, millions", pairs / 1e6],
-        ["forward, ns per pair", numbers["renderer_forward_ns_per_pair"]],
-        ["backward, ns per pair", numbers["renderer_backward_ns_per_pair"]],
-        ["two threads over one (wall time)", numbers["renderer_two_threads"]],
+        ["forward, ns per pair", forward / pairs * 1e9],
+        ["backward, ns per pair", backward / pairs * 1e9],
+        ["two threads over one (wall time)", walls[0] / walls[1]],
     ])  # fmt: skip
-    return numbers
 
 
 def _forward_and_backward(
@@ -130,7 +122,7 @@ def _forward_and_backward(
     return measure.cpu_seconds(lambda: render(points, faces, side, softness).sum().backward())
 
 
-def stages(preset: str, fit: Fit) -> Numbers:
+def stages(preset: str, fit: Fit) -> None:
     """CPU time of the parts of one iteration, and the share of the floor that it reaches."""
     seconds = measure.stage_seconds(fit)
     whole = seconds["iteration"]
@@ -143,27 +135,38 @@ def stages(preset: str, fit: Fit) -> Numbers:
     print(f"Network: {flop / 1e9:.2f} GFLOP, at the matrix product's rate {1e3 * floor:.0f} ms: "
           f"{100 * floor / whole:.0f} % of the iteration, "
           f"{100 * floor / network:.0f} % of the network's time.\n")  # fmt: skip
-    return {f"{preset}: {name}, ms": 1e3 * s for name, s in seconds.items()}
 
 
-def runs(case: Path) -> Numbers:
+def against(reference: str) -> None:
+    """CPU time of an iteration of another version and of this one, in turn: both meet the same machine."""
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder) / "tree"
+        git = ["git", "-C", str(ROOT), "worktree"]
+        subprocess.run([*git, "add", "--quiet", "--detach", str(tree), reference], check=True)
+        try:
+            rounds = [[_iteration_in_its_own_process(1500, 224, at) for at in (tree, ROOT)] for _ in range(3)]
+        finally:
+            subprocess.run([*git, "remove", "--force", str(tree)], check=True)
+    print(f"## Against {reference}\n")
+    rows = []
+    for name in (name for name in rounds[0][1] if name in rounds[0][0]):
+        then, now = ([pair[i][name] for pair in rounds] for i in (0, 1))
+        ratios = [b / a for a, b in zip(then, now, strict=True)]
+        rows.append([name, *(statistics.median(numbers) for numbers in (then, now, ratios))])
+    table(["1,500 vertices, 13 renders of 224 x 224", reference, "now", "now / then"], rows)
+
+
+def runs(case: Path) -> None:
     """`refine run`: wall time on two threads, memory, and two jobs side by side on one thread each."""
     print("## `refine run`\n")
-    numbers: Numbers = {}
-    for preset in PRESETS:
-        wall, processor, memory = _run(case, preset, threads=2)
-        numbers |= {f"{preset}: run, s": wall, f"{preset}: run, CPU s": processor, f"{preset}: GB": memory}
-    names = "run, s", "run, CPU s", "GB"
     header = ["preset", "wall s, two threads", "CPU s", "peak memory, GB"]
-    table(header, [[p, *(numbers[f"{p}: {n}"] for n in names)] for p in PRESETS])
+    table(header, [[preset, *_run(case, preset, threads=2)] for preset in PRESETS])
     alone = _run(case, "fast", threads=1)[0]
     before = time.perf_counter()
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda _: _run(case, "fast", threads=1), range(2)))
-    numbers["two jobs over one"] = 2 * alone / (time.perf_counter() - before)
     print("Two jobs side by side, one thread each: ", end="")
-    print(f"{numbers['two jobs over one']:.2f} times the throughput of one.\n")
-    return numbers
+    print(f"{2 * alone / (time.perf_counter() - before):.2f} times the throughput of one.\n")
 
 
 def _run(case: Path, preset: str, threads: int) -> tuple[float, float, float]:
@@ -210,7 +213,7 @@ def iteration(vertices: int, side: int) -> Numbers:
     return numbers | {"memory, GB": measure.peak_memory_bytes() / 1e9}
 
 
-def scale(options: argparse.Namespace) -> Numbers:
+def scale(options: argparse.Namespace) -> None:
     """Iterations of growing meshes and growing images, each size in a process of its own."""
     sizes = [(v, 224) for v in VERTICES] + [(1500, s) for s in SIDES if s != 224]
     results = {size: _iteration_in_its_own_process(*size) for size in sizes}
@@ -223,12 +226,16 @@ def scale(options: argparse.Namespace) -> Numbers:
         table(["vertices", "side", *names], [[*size, *results[size].values()] for size in chosen])
     if options.plot:
         plot(results, options.plot)
-    return {f"{v} vertices, {s} pixels: {n}": x for (v, s), row in results.items() for n, x in row.items()}
 
 
-def _iteration_in_its_own_process(vertices: int, side: int) -> Numbers:
-    command = [sys.executable, __file__, "iteration", "--vertices", str(vertices), "--side", str(side)]
-    numbers: Numbers = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+def _iteration_in_its_own_process(vertices: int, side: int, root: Path = ROOT) -> Numbers:
+    """By the benchmark and the engine of a checkout."""
+    program = str(root / "benchmarks" / "engine.py")
+    command = [sys.executable, program, "iteration", "--vertices", str(vertices), "--side", str(side)]
+    paths = os.pathsep.join(str(root / name) for name in ("engine", "benchmarks"))
+    environment = os.environ | {"PYTHONPATH": paths}
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=environment)
+    numbers: Numbers = json.loads(done.stdout)
     return numbers
 
 
@@ -292,14 +299,6 @@ def print_quality(options: argparse.Namespace) -> None:
     table(header, sorted(rows, key=lambda row: str(row[0])))
 
 
-def print_ratios(numbers: Numbers, previous: Numbers) -> None:
-    """This run's numbers against an earlier one's."""
-    print("## Against the previous run\n")
-    shared = [name for name in numbers if name in previous]
-    rows = [[name, previous[name], numbers[name], numbers[name] / previous[name]] for name in shared]
-    table(["", "previous", "now", "now / previous"], rows)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -310,11 +309,7 @@ def _parser() -> argparse.ArgumentParser:
     of_speed.add_argument("--no-runs", action="store_true", help="leave the whole runs out")
     of_scale = commands.add_parser("scale", help="against vertices and render size")
     of_scale.add_argument("--plot", type=Path, metavar="FILE.png", help="needs matplotlib")
-    for measured in (of_speed, of_scale):
-        measured.add_argument("--save", type=Path, metavar="FILE.json", help="keep the numbers")
-        measured.add_argument(
-            "--previous", type=Path, metavar="FILE.json", help="compare with an earlier run"
-        )
+    of_speed.add_argument("--against", metavar="COMMIT", help="time an iteration of that version in turn")
     of_quality = commands.add_parser("quality", help="presets and seeds against ground truth; can be resumed")
     of_quality.add_argument("folders", type=Path, nargs="+", help="each holds case folders")
     of_quality.add_argument("-o", "--output", type=Path, required=True, metavar="RESULTS")
