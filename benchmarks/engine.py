@@ -6,7 +6,7 @@
     python benchmarks/engine.py iteration --vertices 1500 --side 224   one size, as JSON
 
 CPU times are of one thread. What else runs on the processor, also in other virtual machines, changes them by
-up to two thirds: compare only what one run measured. `speed --against COMMIT` measures another version in turn.
+up to two thirds: compare only what one run measured. `speed --against COMMIT` times another version in turn.
 """
 
 from __future__ import annotations

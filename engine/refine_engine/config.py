@@ -36,7 +36,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class ProportionFit:
-    """The first step of the default: scales, shear and place of the whole mesh; not in the paper.
+    """The first step of the default: scales, shear, thickness and place of the whole mesh; not in the paper.
 
     See `proportions`. The priors weigh squares, of unit-box lengths, against the squared difference
     of the images relative to the object's area.
@@ -50,6 +50,8 @@ class ProportionFit:
     learning_rate: float = 0.015
     shape_prior: float = 0.2
     """On the logarithms of the scales and on the shear."""
+    thickness_prior: float = 30.0
+    """On the shift along the normals: a scale or a place explains most silhouettes as well."""
     translation_prior: float = 0.4
     """On the translation in the mirror plane."""
     depth_prior: float = 2.0
