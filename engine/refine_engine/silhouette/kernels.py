@@ -43,8 +43,8 @@ jit = njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
 
 @jit
 def exp_negative(a: f32) -> f32:
-    """exp(-a) for a >= 0."""
-    y = max(-a * LOG2_E, f32(-126))
+    """exp(-a) for a >= 0, and never less than 2^-64: products with it are slow where they are denormal."""
+    y = max(-a * LOG2_E, f32(-64))
     n = np.int32(y)  # towards zero: f in (-1, 0]
     f = y - f32(n)
     power = ONE + f * (E1 + f * (E2 + f * (E3 + f * (E4 + f * (E5 + f * E6)))))
