@@ -69,6 +69,12 @@ class DistinctPatches:
             before = self.blocks[-1].outer
         self.at_vertices = [bilinear(self.blocks[i].outer, grid[0, 0]) for i in (1, 3)]  # each (V, U)
 
+    @property
+    def share(self) -> float:
+        """How many of the pixels of a feature map are distinct, mean over the convolutions of the blocks."""
+        maps = [classes for block in self.blocks for classes in (block.inner, block.outer)]
+        return sum(len(classes) / classes.image.numel() for classes in maps) / len(maps)
+
     def features(self, encoder: Encoder) -> Tensor:
         """(V, 192), differentiable in the encoder's weights."""
         stem_conv, stem_norm = encoder.stem[0], encoder.stem[1]

@@ -68,6 +68,8 @@ def test_features_and_gradients_are_those_of_every_pixel(network: Refiner, image
 def test_a_silhouette_has_few_patches() -> None:
     distinct = DistinctPatches(disc()[None, None], torch.zeros(1, 1, 1, 2, dtype=torch.float64))
     assert len(distinct.stem) < 0.3 * (SIDE / 2) ** 2
+    everywhere = DistinctPatches(noise()[None, None], torch.zeros(1, 1, 1, 2, dtype=torch.float64))
+    assert everywhere.share == 1
 
 
 def test_classes_of_a_small_image() -> None:
