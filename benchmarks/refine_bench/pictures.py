@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from refine_engine.preview import confidence_picture, encode, hard_render, shade, side_camera
+from refine_engine.preview import (
+    Picture,
+    confidence_picture,
+    encode,
+    hard_render,
+    on_paper,
+    shade,
+    side_camera,
+)
 from refine_engine.scene import Camera, Mesh
 
 from .cases import Scene
@@ -18,9 +25,7 @@ from .methods import Outcome
 SIDE = 168  # pixels of a panel
 MARGIN = 1.35  # of the window around the silhouette
 COLUMNS = ("input", "coarse", "refined", "ground truth", "confidence")
-MISSING, SURPLUS, BOTH = (0.15, 0.35, 0.85), (0.95, 0.5, 0.1), (0.75, 0.75, 0.75)
-
-Picture = NDArray[np.floating[Any]]
+MISSING, SURPLUS, BOTH, MASK = (38, 89, 217), (242, 128, 26), (191, 191, 191), (38, 38, 38)
 
 
 def draw(scene: Scene, outcome: Outcome) -> bytes:
@@ -85,21 +90,21 @@ def _shaded(mesh: Mesh | None, camera: Camera) -> Picture:
 def _confidence(outcome: Outcome, camera: Camera) -> Picture:
     if outcome.confidence is None:
         return _blank()
-    picture = confidence_picture(hard_render(outcome.mesh, camera), outcome.mesh, outcome.confidence)
-    alpha = picture[..., 3:]
-    return np.asarray(picture[..., :3] * alpha + 1 - alpha)
+    return on_paper(confidence_picture(hard_render(outcome.mesh, camera), outcome.mesh, outcome.confidence))
 
 
 def _mask_picture(mask: NDArray[np.bool_]) -> Picture:
-    return np.where(mask[..., None], 0.15, np.ones(3))
+    picture = _blank()
+    picture[mask] = MASK
+    return picture
 
 
 def _difference(mask: NDArray[np.bool_], refined: NDArray[np.bool_]) -> Picture:
-    picture = np.ones((*mask.shape, 3))
+    picture = _blank()
     for where, colour in ((mask & refined, BOTH), (mask & ~refined, MISSING), (~mask & refined, SURPLUS)):
         picture[where] = colour
     return picture
 
 
 def _blank() -> Picture:
-    return np.ones((SIDE, SIDE, 3))
+    return np.full((SIDE, SIDE, 3), 255, np.uint8)

@@ -16,13 +16,15 @@ from .files import confidence_colours
 from .scene import Camera, Mesh, View
 from .silhouette import Fragments, interpolate, rasterize
 
-Picture = NDArray[np.floating[Any]]  # (H, W, 3 or 4) in [0, 1]
+Picture = NDArray[np.uint8]  # (H, W, 3 or 4)
+Colour = tuple[int, int, int]
 _PANEL = 320  # pixels a side
 _CAPTION = 26  # pixels of height
 _SAMPLES = 2  # per pixel and axis, for smooth edges
+_COMPRESSION = 3  # of PNG, zlib's levels: half the time of the usual 6, files a tenth larger
 _MAX_SIDE = 1024  # pixels of confidence.png; a larger camera image is scaled down
-_INPUT, _BEFORE, _AFTER = (0.0, 0.55, 0.2), (0.9, 0.35, 0.0), (0.1, 0.25, 0.9)
-_PAPER, _SURFACE, _OBJECT = (1.0, 1.0, 1.0), (0.66, 0.72, 0.82), (0.82, 0.82, 0.82)
+_INPUT, _BEFORE, _AFTER = (0, 140, 51), (230, 89, 0), (26, 64, 230)
+_PAPER, _SURFACE, _OBJECT, _MASK = (255, 255, 255), (168, 184, 209), (209, 209, 209), (38, 38, 38)
 
 
 def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor) -> bytes:
@@ -31,22 +33,21 @@ def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor
     front = _fit(view.camera, _PANEL * _SAMPLES)
     side = side_camera(view.camera, before, _PANEL * _SAMPLES)
     mask = _resize(view.silhouette.cpu().numpy(), front.width, front.height)
-    given = np.where(mask[..., None] > 0.5, 0.15, np.ones(3))
     seen = [hard_render(mesh, front) for mesh in (before, after)]
     aside = [hard_render(mesh, side) for mesh in (before, after)]
     covered = [(fragments.face[0] >= 0).numpy() for fragments in (*seen, *aside)]
-    contours = [(covered[0], _BEFORE), (covered[1], _AFTER), (mask > 0.5, _INPUT)]
+    contours = [(covered[0], _BEFORE), (covered[1], _AFTER), (mask, _INPUT)]
     from_side = [(covered[2], _BEFORE), (covered[3], _AFTER)]
     sigma = confidence_picture(seen[1], after, confidence)
     rows = [
         [
-            ("input silhouette", given),
+            ("input silhouette", _two_colours(mask, _MASK)),
             ("before", shade(before, front, seen[0])),
             ("after", shade(after, front, seen[1])),
-            ("contours: input, before, after", _contours(mask > 0.5, contours)),
+            ("contours: input, before, after", _contours(mask, contours)),
         ],
         [
-            ("symmetry confidence, 0 red, 1 green", sigma[..., :3] * sigma[..., 3:] + 1 - sigma[..., 3:]),
+            ("symmetry confidence, 0 red, 1 green", on_paper(sigma)),
             ("before, from the side", shade(before, side, aside[0])),
             ("after, from the side", shade(after, side, aside[1])),
             ("contours from the side: before, after", _contours(covered[2], from_side)),
@@ -77,7 +78,15 @@ def confidence_picture(fragments: Fragments, mesh: Mesh, confidence: torch.Tenso
     """RGBA (H, W, 4): confidence colours on the mesh, transparent background."""
     sigma = interpolate(fragments, mesh.faces.cpu(), confidence.detach().cpu())[0].numpy()
     covered = (fragments.face[0] >= 0).numpy()
-    return np.concatenate([confidence_colours(sigma), covered[..., None]], -1).astype(np.float32)
+    picture = np.zeros((*covered.shape, 4), np.uint8)
+    picture[covered] = 255
+    picture[covered, :3] = _bytes(confidence_colours(sigma[covered]))
+    return picture
+
+
+def on_paper(picture: Picture) -> Picture:
+    """RGB of an RGBA picture whose pixels are opaque or transparent."""
+    return np.where(picture[..., 3:] > 0, picture[..., :3], np.uint8(255))
 
 
 def shade(mesh: Mesh, camera: Camera, fragments: Fragments) -> Picture:
@@ -88,8 +97,10 @@ def shade(mesh: Mesh, camera: Camera, fragments: Fragments) -> Picture:
     normal = torch.where(normal[:, 2:] > 0, -normal, normal)  # towards the camera, which looks along +Z
     light = torch.nn.functional.normalize(torch.tensor([-0.45, -0.6, -0.65]), dim=0)
     brightness = 0.25 + 0.75 * (normal @ light).clamp_min(0.0)
-    colours = torch.cat([brightness[:, None] * torch.tensor(_SURFACE), torch.tensor([_PAPER])])
-    return colours[fragments.face[0]].float().numpy()  # background is -1: the last
+    colours = torch.cat([brightness[:, None] * torch.tensor(_SURFACE), torch.tensor([_PAPER])]).to(
+        torch.uint8
+    )
+    return np.asarray(colours.numpy()[fragments.face[0].numpy()])  # background is -1: the last
 
 
 def side_camera(camera: Camera, mesh: Mesh, pixels: int) -> Camera:
@@ -112,7 +123,7 @@ def side_camera(camera: Camera, mesh: Mesh, pixels: int) -> Camera:
 def encode(picture: Picture) -> bytes:
     """PNG bytes of a picture."""
     stream = io.BytesIO()
-    Image.fromarray((picture.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(stream, "PNG")
+    Image.fromarray(picture).save(stream, "PNG", compress_level=_COMPRESSION)
     return stream.getvalue()
 
 
@@ -132,15 +143,23 @@ def _fit(camera: Camera, pixels: int) -> Camera:
     )
 
 
-def _resize(mask: NDArray[np.float32], width: int, height: int) -> NDArray[np.floating[Any]]:
-    image = Image.fromarray((mask * 255).astype(np.uint8)).resize((width, height), Image.Resampling.BILINEAR)
-    return np.asarray(image).astype(np.float32) / 255
+def _bytes(colours: NDArray[np.floating[Any]]) -> Picture:
+    """Of colours in [0, 1]."""
+    return (colours * 255 + 0.5).astype(np.uint8)
 
 
-def _contours(
-    fill: NDArray[np.bool_], outlines: list[tuple[NDArray[np.bool_], tuple[float, float, float]]]
-) -> Picture:
-    picture = np.where(fill[..., None], np.array(_OBJECT), np.array(_PAPER))
+def _resize(mask: NDArray[np.float32], width: int, height: int) -> NDArray[np.bool_]:
+    image = Image.fromarray(_bytes(mask)).resize((width, height), Image.Resampling.BILINEAR)
+    return np.asarray(image) > 127
+
+
+def _two_colours(mask: NDArray[np.bool_], colour: Colour) -> Picture:
+    """`colour` on the mask, paper around it."""
+    return np.array([_PAPER, colour], np.uint8)[mask.astype(np.uint8)]
+
+
+def _contours(fill: NDArray[np.bool_], outlines: list[tuple[NDArray[np.bool_], Colour]]) -> Picture:
+    picture = _two_colours(fill, _OBJECT)
     for mask, colour in outlines:
         picture[_outline(mask, 2)] = colour
     return picture
@@ -163,7 +182,7 @@ def _grid(rows: list[list[tuple[str, Picture]]]) -> Picture:
     for down, row in enumerate(rows):
         for across, (caption, picture) in enumerate(row):
             left, top = across * _PANEL, down * (_PANEL + _CAPTION)
-            image = Image.fromarray((picture.clip(0, 1) * 255).astype(np.uint8))
+            image = Image.fromarray(picture)
             image.thumbnail((_PANEL - 4, _PANEL - 4), Image.Resampling.BOX)
             corner = left + (_PANEL - image.width) // 2, top + _CAPTION + (_PANEL - image.height) // 2
             sheet.paste(image, corner)
@@ -172,7 +191,7 @@ def _grid(rows: list[list[tuple[str, Picture]]]) -> Picture:
                 outline="#bbb",
             )
             _write_caption(draw, font, (left + 6, top + 4), caption)
-    return np.asarray(sheet).astype(np.float32) / 255
+    return np.asarray(sheet)
 
 
 def _write_caption(
@@ -185,19 +204,18 @@ def _write_caption(
     colours = {"input": _INPUT, "before": _BEFORE, "after": _AFTER} if text.startswith("contours") else {}
     x = float(at[0])
     for word in text.split():
-        colour = colours.get(word.strip(","), (0.0, 0.0, 0.0))
-        draw.text((x, at[1]), word, fill=tuple(round(255 * c) for c in colour), font=font)
+        draw.text((x, at[1]), word, fill=colours.get(word.strip(","), (0, 0, 0)), font=font)
         x += draw.textlength(word + " ", font=font)
 
 
 def _legend(width: int) -> Picture:
     """RGBA strip: the colours from 0 to 1 with their ends labelled."""
-    strip = np.ones((40, width, 4), np.float32)
-    strip[6:18, 8 : max(width - 8, 9), :3] = confidence_colours(np.linspace(0, 1, max(width - 16, 1)))
-    image = Image.fromarray((strip * 255).astype(np.uint8), "RGBA")
+    strip = np.full((40, width, 4), 255, np.uint8)
+    strip[6:18, 8 : max(width - 8, 9), :3] = _bytes(confidence_colours(np.linspace(0, 1, max(width - 16, 1))))
+    image = Image.fromarray(strip, "RGBA")
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(12)
     draw.text((8, 21), "0", fill="black", font=font)
     draw.text((width - 8, 21), "1", fill="black", font=font, anchor="ra")
     if width > 160:
         draw.text((width / 2, 21), "symmetry confidence", fill="black", font=font, anchor="ma")
-    return np.asarray(image).astype(np.float32) / 255
+    return np.asarray(image)
