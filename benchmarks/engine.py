@@ -129,7 +129,7 @@ def stages(preset: str, fit: Fit) -> None:
     flop = measure.network_flop(fit)
     floor = flop / measure.peak_flop_per_second()
     print(f"## One iteration of `{preset}`\n")
-    network = seconds["encoder"] + seconds["graph convolutions"]
+    network = seconds.get("encoder", 0.0) + seconds["graph convolutions"]
     rows = [[name, 1e3 * s, f"{100 * s / whole:.0f} %"] for name, s in seconds.items()]
     table(["", "CPU ms", "share"], rows)
     print(f"Network: {flop / 1e9:.2f} GFLOP, at the matrix product's rate {1e3 * floor:.0f} ms: "
