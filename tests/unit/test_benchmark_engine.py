@@ -43,7 +43,7 @@ def test_parts_of_an_iteration_cover_it(monkeypatch: pytest.MonkeyPatch) -> None
     fit = measure.start(inputs.mesh_file.mesh, inputs.view, config)
     before = fit.network.displacement.weight.detach().clone()
     parts = measure.stage_seconds(fit)
-    assert list(parts)[0] == "encoder"
+    assert next(iter(parts)) == "encoder"
     assert list(parts)[-1] == "iteration"
     assert not torch.equal(before, fit.network.displacement.weight)  # the optimiser was one of them
     assert measure.network_flop(fit) > 2 * len(fit.coarse) * 128 * 256 * 8 * 3  # the graph convolutions alone
