@@ -41,7 +41,14 @@ ROOT = Path(__file__).resolve().parent.parent
 DEFAULT_CASE = ROOT / "examples" / "samples" / "airplane"
 VERTICES = (500, 1500, 5000, 20_000, 100_000)
 SIDES = (112, 224, 448)
-RUN = "import sys; from refine_engine.commands.run import run_command; sys.exit(run_command(sys.argv[1:]))"
+RUN = """
+import sys
+from refine_bench.measure import peak_memory_bytes
+from refine_engine.commands.run import run_command
+code = run_command(sys.argv[1:])
+print(peak_memory_bytes())
+sys.exit(code)
+"""
 Numbers = dict[str, float]
 
 
@@ -178,14 +185,16 @@ def _run(case: Path, preset: str, threads: int) -> tuple[float, float, float]:
             *("--preset", preset, "--threads", str(threads), "--json"),
         ]
         before = time.perf_counter()
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        lines = process.stdout.readlines()
         _, status, usage = os.wait4(process.pid, 0)
+        process.stdout.close()
         process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
             raise SystemExit(f"refine run failed with exit code {process.returncode}")
-        kibibyte = 1 if sys.platform == "darwin" else 1024
         wall = time.perf_counter() - before
-        return wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * kibibyte / 1e9
+        return wall, usage.ru_utime + usage.ru_stime, int(lines[-1]) / 1e9
 
 
 def ellipsoid(vertices: int, side: int) -> tuple[Mesh, View]:
