@@ -25,11 +25,11 @@ import torch
 from torch import Tensor
 
 from refine_engine import Cancelled, Mesh, RefineConfig, View, make_config, read_inputs, refine
-from refine_engine.cuda_graph import EAGER_RUNS, repeatable
-from refine_engine.loop import Fit
-from refine_engine.options import PRESETS
-from refine_engine.silhouette import image_symmetry, optical_depth, rasterize
-from refine_engine.symmetry import nearest_mirrored
+from refine_engine.kernels import image_symmetry, optical_depth, rasterize
+from refine_engine.kernels.graph import EAGER_RUNS, repeatable
+from refine_engine.method.loop import Fit
+from refine_engine.method.presets import PRESETS
+from refine_engine.method.symmetry import nearest_mirrored
 
 SAMPLES = Path(__file__).parents[1] / "examples" / "samples"
 MIB = 2**20

@@ -31,11 +31,11 @@ from scipy.spatial import ConvexHull
 from torch import Tensor
 
 from refine_bench import measure, quality
-from refine_engine.loop import Fit
-from refine_engine.metrics import hard_silhouette
-from refine_engine.options import PRESETS
-from refine_engine.scene import Camera, Mesh, View
-from refine_engine.silhouette import cpu, oracle
+from refine_engine.cameras.seen import hard_silhouette
+from refine_engine.kernels import cpu, oracle
+from refine_engine.method.loop import Fit
+from refine_engine.method.presets import PRESETS
+from refine_engine.values import Camera, Mesh, View
 
 ROOT = Path(__file__).resolve().parent.parent
 DEFAULT_CASE = ROOT / "examples" / "samples" / "airplane"

@@ -26,8 +26,8 @@ import psutil
 from refine_client import RefineClient
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_jobs.connection import connect
 from refine_jobs.embedded import EmbeddedRedis
+from refine_jobs.redis_server import connect
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
 from refine_proto.models import Artifact, Progress, SilhouetteIou, State

@@ -22,8 +22,8 @@ from PIL import Image
 
 from refine_bench.coarsen import coarsen
 from refine_bench.shapes import make_shape
-from refine_engine.metrics import hard_silhouette
-from refine_engine.scene import Camera, Mesh
+from refine_engine.cameras.seen import hard_silhouette
+from refine_engine.values import Camera, Mesh
 
 SIZE = 224  # pixels, the method's image size
 SAMPLES_FOLDER = Path(__file__).resolve().parent / "samples"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from refine_engine.config import RefineConfig
-from refine_engine.problem import Frame, SymmetryViews
-from refine_engine.scene import Mesh
-from refine_engine.silhouette import image_symmetry, optical_depth, rasterize
+from refine_engine.kernels import image_symmetry, optical_depth, rasterize
+from refine_engine.method.config import RefineConfig
+from refine_engine.method.views import Frame, SymmetryViews
+from refine_engine.values import Mesh
 
 ASYMMETRIC_FROM = 0.01  # "not below 0.01", with sigma = 1 and lambda_B = 1
 LOSS_CONFIDENCE_COST = 1.0  # lambda_B; with sigma = 1 its term ln(1 / sigma) is 0

@@ -19,15 +19,15 @@ from scipy.sparse import coo_array, eye_array
 from scipy.sparse.linalg import SuperLU, splu
 from torch import Tensor
 
-from refine_engine import losses
-from refine_engine.config import RefineConfig, Stage
 from refine_engine.errors import Diverged
-from refine_engine.loop import move_as_a_whole
-from refine_engine.problem import Frame, SymmetryViews, Target
-from refine_engine.scene import Mesh, View
-from refine_engine.silhouette import image_symmetry, optical_depth, rasterize
-from refine_engine.symmetry import mirror_matrix, nearest_mirrored
-from refine_engine.topology import Topology, neighbour_mean
+from refine_engine.kernels import image_symmetry, optical_depth, rasterize
+from refine_engine.method import losses
+from refine_engine.method.config import RefineConfig, Stage
+from refine_engine.method.loop import move_as_a_whole
+from refine_engine.method.symmetry import mirror_matrix, nearest_mirrored
+from refine_engine.method.topology import Topology, neighbour_mean
+from refine_engine.method.views import Frame, SymmetryViews, Target
+from refine_engine.values import Mesh, View
 
 ADAM_LEARNING_RATE = 1e-3  # normalised lengths per step
 LARGE_STEPS_LEARNING_RATE = 3e-3

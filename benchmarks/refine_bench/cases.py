@@ -11,8 +11,8 @@ import torch
 import trimesh
 
 from refine_engine.errors import RefineError
-from refine_engine.files import read_mesh
-from refine_engine.scene import Mesh, View
+from refine_engine.files.mesh_file import read_mesh
+from refine_engine.values import Mesh, View
 
 Direction = tuple[float, float, float]
 

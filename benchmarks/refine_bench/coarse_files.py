@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from refine_engine.metrics import sample_surface
-from refine_engine.scene import Camera, Mesh
+from refine_engine.scores.scores import sample_surface
+from refine_engine.values import Camera, Mesh
 
 from .cases import CaseUnavailable, read_mesh_file
 

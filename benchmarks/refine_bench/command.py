@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 
 from refine_engine.errors import RefineError
-from refine_engine.options import PRESETS
+from refine_engine.method.presets import PRESETS
 
 from .cases import Case, SetInvalid, read_bytes
 from .coarse_files import FRAMES, CoarseFolder

@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from refine_engine import losses
-from refine_engine.camera_spec import parse_spec
-from refine_engine.config import RefineConfig, Stage
-from refine_engine.files import read_mesh
-from refine_engine.inputs import Inputs, read_inputs
-from refine_engine.loop import Fit
-from refine_engine.scene import Mesh, View
-from refine_engine.silhouette import optical_depth, oracle
-from refine_engine.symmetry import nearest_mirrored
-from refine_engine.topology import neighbour_mean
+from refine_engine.cameras.spec import parse_spec
+from refine_engine.files.mesh_file import read_mesh
+from refine_engine.kernels import optical_depth, oracle
+from refine_engine.method import losses
+from refine_engine.method.config import RefineConfig, Stage
+from refine_engine.method.loop import Fit
+from refine_engine.method.symmetry import nearest_mirrored
+from refine_engine.method.topology import neighbour_mean
+from refine_engine.request import Inputs, read_inputs
+from refine_engine.values import Mesh, View
 
 
 def read_case(folder: Path) -> Inputs:

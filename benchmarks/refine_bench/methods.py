@@ -14,9 +14,9 @@ from importlib import import_module
 
 from torch import Tensor
 
-from refine_engine.config import RefineConfig
-from refine_engine.loop import move_as_a_whole, refine
-from refine_engine.scene import Camera, Mesh
+from refine_engine.method.config import RefineConfig
+from refine_engine.method.loop import move_as_a_whole, refine
+from refine_engine.values import Camera, Mesh
 
 from . import baselines
 from .cases import Case, Scene, SetInvalid

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from refine_engine.preview import (
+from refine_engine.artifacts.pictures import (
     Picture,
     confidence_picture,
     encode,
@@ -17,7 +17,7 @@ from refine_engine.preview import (
     shade,
     side_camera,
 )
-from refine_engine.scene import Camera, Mesh
+from refine_engine.values import Camera, Mesh
 
 from .cases import Scene
 from .methods import Outcome

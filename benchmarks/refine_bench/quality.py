@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from refine_engine.config import RefineConfig
-from refine_engine.loop import refine
-from refine_engine.metrics import (
+from refine_engine.cameras.seen import silhouette_iou
+from refine_engine.method.config import RefineConfig
+from refine_engine.method.loop import refine
+from refine_engine.scores.scores import (
     GROUND_TRUTH_SEED,
     SURFACE_POINTS,
     Array,
@@ -21,9 +22,8 @@ from refine_engine.metrics import (
     f_score,
     nearest_distances,
     sample_surface,
-    silhouette_iou,
 )
-from refine_engine.scene import Mesh
+from refine_engine.values import Mesh
 
 from .measure import read_case, read_mesh_file
 

@@ -18,8 +18,8 @@ import torch
 import trimesh
 from PIL import Image
 
-from refine_engine.files import read_mesh
-from refine_engine.scene import Camera, Mesh, View
+from refine_engine.files.mesh_file import read_mesh
+from refine_engine.values import Camera, Mesh, View
 
 from .cases import Case, Scene, SetInvalid
 from .methods import Outcome

@@ -17,8 +17,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from PIL import Image
 
-from refine_engine.preview import hard_render
-from refine_engine.scene import Camera, Mesh
+from refine_engine.artifacts.pictures import hard_render
+from refine_engine.values import Camera, Mesh
 
 from .cases import existing_folder, read_mesh_file, subfolders
 from .sets.shapenet import FOV_DEGREES, METADATA, SYNSETS, metadata_line

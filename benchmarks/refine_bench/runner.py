@@ -8,9 +8,10 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import islice
 
+from refine_engine.cameras.seen import silhouette_iou
 from refine_engine.errors import RefineError
-from refine_engine.metrics import Normalisation, evaluate, silhouette_iou
-from refine_engine.scene import Mesh
+from refine_engine.scores.scores import Normalisation, evaluate
+from refine_engine.values import Mesh
 
 from .cases import Case, CaseSkipped, Scene
 from .methods import Method, Outcome, applies

@@ -22,13 +22,13 @@ from refine_proto.models import (
     RefinementPage,
 )
 
+from .address import Connection
 from .client import Refined
-from .connection import Connection
 from .errors import error_of
 from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
 from .retry import Retries, RetryPolicy
-from .transport import make_async_transport
+from .transports.base import make_async_transport
 from .upload import Source, make_upload
 
 T = TypeVar("T")

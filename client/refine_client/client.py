@@ -23,12 +23,12 @@ from refine_proto.models import (
     RefinementPage,
 )
 
-from .connection import Connection
+from .address import Connection
 from .errors import error_of
 from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
 from .retry import Retries, RetryPolicy
-from .transport import make_transport
+from .transports.base import make_transport
 from .upload import Source, make_upload
 
 T = TypeVar("T")

@@ -3,16 +3,16 @@
 `refine` is the method, on tensors; `read_inputs` and `make_artifacts` are the way from files and back.
 """
 
-from .artifacts import make_artifacts
-from .camera_spec import camera_from_spec, read_camera
-from .config import RefineConfig
+from .artifacts.make import make_artifacts
+from .cameras.spec import camera_from_spec, read_camera
 from .errors import Cancelled, Diverged, InputError, RefineError
-from .files import MeshFile, read_mesh
-from .images import read_silhouette
-from .inputs import Inputs, read_inputs
-from .loop import refine
-from .options import make_config
-from .scene import Camera, Mesh, Progress, Result, View
+from .files.mesh_file import MeshFile, read_mesh
+from .files.png import read_silhouette
+from .method.config import RefineConfig
+from .method.loop import refine
+from .method.presets import make_config
+from .request import Inputs, read_inputs
+from .values import Camera, Mesh, Progress, Result, View
 
 __all__ = [
     "Camera",

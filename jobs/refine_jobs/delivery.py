@@ -21,7 +21,8 @@ from rq.serializers import JSONSerializer
 
 from . import keys
 
-TASK = "refine_worker.task.run"
+TASK = "refine_worker.slot.task.run"
+FORMER_TASK = "refine_worker.task.run"  # of jobs that 0.1.0 put into the queue
 MINIMUM_REDIS = (6, 2, 0)  # BLMOVE, with which RQ keeps a copy of a job that it takes
 
 Words = list[Any]

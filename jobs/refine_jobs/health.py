@@ -7,7 +7,7 @@ from typing import Any
 from redis.asyncio import Redis
 
 from . import keys
-from .connection import unavailable
+from .redis_server import unavailable
 from .slots import SlotStatus
 
 

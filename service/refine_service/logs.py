@@ -8,7 +8,7 @@ import sys
 from datetime import UTC, datetime
 from typing import Any
 
-from .calls import CALL
+from .edge.call import CALL
 
 _FIELDS = "fields"  # of `extra`: more values for the line
 

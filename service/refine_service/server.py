@@ -17,9 +17,9 @@ import uvicorn
 
 from refine_jobs.settings import JobSettings
 
-from .app import make_app
-from .edge import Edge, open_edge
-from .rpc_server import RpcServer, url_host
+from .edge.edge import Edge, open_edge
+from .rest.app import make_app
+from .rpc.server import RpcServer, url_host
 from .settings import ServiceSettings
 
 _BACKLOG = 2048

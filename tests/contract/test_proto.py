@@ -13,7 +13,7 @@ import torch
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from refine_engine.camera_spec import camera_from_spec
+from refine_engine.cameras.spec import camera_from_spec
 from refine_engine.errors import CameraInvalid
 from refine_proto import models
 from refine_proto.convert import tagged_union, to_message, to_model

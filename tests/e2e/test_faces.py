@@ -17,7 +17,7 @@ from serve_process import Served
 
 from refine_client import AsyncRefineClient, RefineClient
 from refine_engine import read_inputs, read_mesh
-from refine_engine.metrics import silhouette_iou
+from refine_engine.cameras.seen import silhouette_iou
 from refine_proto.models import Event, EventType, Refinement, State
 
 FACES = ("REST, sync", "REST, async", "gRPC, sync", "gRPC, async")

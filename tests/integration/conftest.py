@@ -12,11 +12,11 @@ from redis import Redis
 
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_jobs.connection import connect, connect_async, connect_for_rq
+from refine_jobs.edge_store import JobStore, Submitted
 from refine_jobs.embedded import EmbeddedRedis
 from refine_jobs.record import Submission
+from refine_jobs.redis_server import connect, connect_async, connect_for_rq
 from refine_jobs.settings import JobSettings
-from refine_jobs.store import JobStore, Submitted
 from refine_jobs.worker_store import WorkerStore
 from refine_proto.models import RefinementSpec
 

@@ -11,8 +11,8 @@ from PIL import Image
 
 from refine_bench.cases import mesh_of
 from refine_bench.command import bench_command
-from refine_engine.metrics import hard_silhouette
-from refine_engine.scene import Camera
+from refine_engine.cameras.seen import hard_silhouette
+from refine_engine.values import Camera
 
 PLUGIN = '''
 from refine_engine.scene import Mesh

@@ -16,7 +16,7 @@ import torch
 import trimesh
 from PIL import Image
 
-from refine_engine.files import read_mesh
+from refine_engine.files.mesh_file import read_mesh
 
 PACKAGE = "gltf-validator@2.0.0-dev.3.10"
 ROOT = Path(__file__).parents[2]

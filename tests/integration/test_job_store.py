@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from refine_jobs import keys
+from refine_jobs.edge_store import JobStore
 from refine_jobs.reaper import reap
-from refine_jobs.store import JobStore
 from refine_jobs.worker_store import LeaseLost
 from refine_proto.errors import (
     Conflict,

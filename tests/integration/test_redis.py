@@ -15,12 +15,12 @@ import pytest
 from pydantic import ValidationError
 from redis import Redis
 
-from refine_jobs.connection import RedisUnfit, check_server, connect, connect_async
+from refine_jobs.edge_store import JobStore
 from refine_jobs.embedded import EmbeddedRedis, EmbeddedRedisError, find_server
 from refine_jobs.health import Health
+from refine_jobs.redis_server import RedisUnfit, check_server, connect, connect_async
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState, SlotStatus
-from refine_jobs.store import JobStore
 from refine_proto.errors import Unavailable
 from refine_proto.models import Refinement
 

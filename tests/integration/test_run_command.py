@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from refine_engine.commands import run
-from refine_engine.files import read_mesh
+from refine_engine.files.mesh_file import read_mesh
 
 ARTIFACTS = [
     "confidence.glb",

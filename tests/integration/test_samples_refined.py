@@ -7,12 +7,12 @@ import pytest
 import torch
 import trimesh
 
-from refine_engine.camera_spec import parse_spec
-from refine_engine.config import RefineConfig
-from refine_engine.inputs import read_inputs
-from refine_engine.loop import refine
-from refine_engine.metrics import chamfer_l2, nearest_distances, sample_surface
-from refine_engine.scene import Mesh
+from refine_engine.cameras.spec import parse_spec
+from refine_engine.method.config import RefineConfig
+from refine_engine.method.loop import refine
+from refine_engine.request import read_inputs
+from refine_engine.scores.scores import chamfer_l2, nearest_distances, sample_surface
+from refine_engine.values import Mesh
 
 SAMPLES = Path(__file__).resolve().parents[2] / "examples" / "samples"
 

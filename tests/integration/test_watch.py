@@ -6,7 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from refine_jobs import keys
-from refine_jobs.store import JobStore
+from refine_jobs.edge_store import JobStore
 from refine_proto.models import Event, EventType, Progress, SilhouetteIou, State
 
 if TYPE_CHECKING:

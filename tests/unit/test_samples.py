@@ -17,8 +17,9 @@ from scipy.ndimage import binary_dilation
 
 from refine_bench.coarsen import MILD, STRONG, coarsen, occupancy
 from refine_bench.shapes import ASYMMETRIC, GENERATORS, make_shape
-from refine_engine.metrics import chamfer_l2, nearest_distances, sample_surface, silhouette_iou
-from refine_engine.scene import Camera, Mesh, View
+from refine_engine.cameras.seen import silhouette_iou
+from refine_engine.scores.scores import chamfer_l2, nearest_distances, sample_surface
+from refine_engine.values import Camera, Mesh, View
 
 Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -20,7 +20,7 @@ from redis.exceptions import RedisError
 
 from refine_jobs import reaper
 from refine_jobs.blobs import BlobStore
-from refine_jobs.connection import RedisUnfit, check_server, connect
+from refine_jobs.redis_server import RedisUnfit, check_server, connect
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
 
@@ -96,7 +96,7 @@ class _SlotProcess:
     def _start(self) -> None:
         # Its own session: Ctrl-C reaches the supervisor, which stops the slots. The pipe: see lifeline.py.
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "refine_worker.slot_main", self.plan.model_dump_json()],
+            [sys.executable, "-m", "refine_worker.slot.main", self.plan.model_dump_json()],
             stdin=subprocess.PIPE,
             start_new_session=True,
         )

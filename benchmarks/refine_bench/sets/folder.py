@@ -11,9 +11,9 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from refine_engine.camera_spec import read_camera
-from refine_engine.images import read_silhouette
-from refine_engine.scene import View
+from refine_engine.cameras.spec import read_camera
+from refine_engine.files.png import read_silhouette
+from refine_engine.values import View
 
 from ..cases import (
     Case,

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from refine_engine.camera_spec import camera_from_spec
-from refine_engine.images import read_silhouette
-from refine_engine.scene import View
+from refine_engine.cameras.spec import camera_from_spec
+from refine_engine.files.png import read_silhouette
+from refine_engine.values import View
 
 from ..cases import Case, CaseUnavailable, Scene, SetInvalid, existing_folder, read_bytes, read_mesh_file
 from ..coarse_files import CoarseFolder

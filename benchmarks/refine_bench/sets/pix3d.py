@@ -23,8 +23,8 @@ from pathlib import Path, PurePosixPath
 
 import torch
 
-from refine_engine.images import read_silhouette
-from refine_engine.scene import Camera, View
+from refine_engine.files.png import read_silhouette
+from refine_engine.values import Camera, View
 
 from ..cases import Case, CaseUnavailable, Scene, SetInvalid, existing_folder, read_bytes, read_mesh_file
 from ..coarse_files import CoarseFolder

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from refine_engine.images import read_silhouette
-from refine_engine.scene import Camera, View
+from refine_engine.files.png import read_silhouette
+from refine_engine.values import Camera, View
 
 from ..asymmetry import ASYMMETRIC_FROM, image_asymmetry
 from ..cases import (

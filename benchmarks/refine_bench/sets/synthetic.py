@@ -17,8 +17,8 @@ from functools import partial
 
 import numpy as np
 
-from refine_engine.metrics import hard_silhouette
-from refine_engine.scene import Camera, View
+from refine_engine.cameras.seen import hard_silhouette
+from refine_engine.values import Camera, View
 
 from ..cases import Case, Scene, mesh_of
 from ..coarsen import MILD, STRONG, coarsen, mistake

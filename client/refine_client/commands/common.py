@@ -10,8 +10,8 @@ from typing import NoReturn
 
 from refine_proto.errors import InvalidInput, RefineError, Refused
 
+from ..address import DEFAULT_SERVER
 from ..client import RefineClient
-from ..connection import DEFAULT_SERVER
 
 FAILED = 1
 BAD_INPUT = 2

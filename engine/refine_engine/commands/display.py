@@ -14,8 +14,8 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ..scene import Progress as Report
-from ..scene import Result
+from ..values import Progress as Report
+from ..values import Result
 
 LINE_INTERVAL_S = 5.0
 JSON_INTERVAL_S = 0.5

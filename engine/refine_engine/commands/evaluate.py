@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..metrics import Scores
-    from ..scene import Mesh, View
+    from ..scores.scores import Scores
+    from ..values import Mesh, View
 
 BAD_INPUT = 2
 DESCRIPTION = (
@@ -50,7 +50,7 @@ def eval_command(argv: Sequence[str]) -> int:
     if (arguments.camera is None) != (arguments.silhouette is None):
         parser.error("expected --camera and --silhouette together: the 2D IoU needs both")
     from ..errors import InputError
-    from ..metrics import evaluate
+    from ..scores.scores import evaluate
 
     try:
         view = None if arguments.camera is None else _read_view(arguments.camera, arguments.silhouette)
@@ -113,15 +113,15 @@ def _positive(text: str) -> int:
 
 
 def _read_mesh(path: Path) -> Mesh:
-    from ..files import read_mesh
+    from ..files.mesh_file import read_mesh
 
     return read_mesh(path.read_bytes(), path.name).mesh
 
 
 def _read_view(camera: Path, silhouette: Path) -> View:
-    from ..camera_spec import read_camera
-    from ..images import read_silhouette
-    from ..scene import View
+    from ..cameras.spec import read_camera
+    from ..files.png import read_silhouette
+    from ..values import View
 
     image = read_silhouette(silhouette.read_bytes())
     height, width = image.shape

@@ -14,14 +14,14 @@ from typing import NoReturn
 
 import torch
 
-from ..artifacts import make_artifacts
-from ..camera_spec import parse_spec
-from ..config import RefineConfig
+from ..artifacts.make import make_artifacts
+from ..cameras.spec import parse_spec
 from ..errors import InputError, OptionsInvalid, RefineError
-from ..inputs import Inputs, read_inputs
-from ..loop import refine
-from ..options import PRESETS, make_config
-from ..scene import Mesh, Result, View
+from ..method.config import RefineConfig
+from ..method.loop import refine
+from ..method.presets import PRESETS, make_config
+from ..request import Inputs, read_inputs
+from ..values import Mesh, Result, View
 from .display import Display, choose_display
 
 

@@ -10,10 +10,10 @@ from functools import wraps
 
 from pydantic import ValidationError
 
-from refine_jobs.connection import RedisUnfit
 from refine_jobs.embedded import EmbeddedRedisError
+from refine_jobs.redis_server import RedisUnfit
 
-from ..auth import KeysFileInvalid
+from ..edge.auth import KeysFileInvalid
 
 FAILED = 1
 BAD_INPUT = 2

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from refine_jobs.settings import JobSettings
 
-from ..auth import ApiKeys
+from ..edge.auth import ApiKeys
 from ..settings import ServiceSettings
 from .common import FAILED, command, environment, make_parser
 

@@ -13,9 +13,9 @@ from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from refine_jobs.connection import check_server, connect, connect_async
 from refine_jobs.embedded import EmbeddedRedis
 from refine_jobs.health import Health
+from refine_jobs.redis_server import check_server, connect, connect_async
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState
 from refine_proto.errors import Unavailable

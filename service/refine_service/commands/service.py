@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import redis.exceptions
 
-from refine_jobs.connection import check_server, connect
+from refine_jobs.redis_server import check_server, connect
 from refine_jobs.settings import JobSettings
 
 from ..logs import set_up_logging

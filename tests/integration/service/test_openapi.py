@@ -98,7 +98,7 @@ def test_whatever_is_sent_the_document_is_true(service: Service, hand: Hand) -> 
     schema = schemathesis.openapi.from_url(f"{service.rest_url}/openapi.json")
     for operation in [found.ok() for found in schema.get_all_operations() if isinstance(found, Ok)]:
         check_operation(operation, service, hand)
-    calls = [line for line in service.log() if line["logger"].endswith("rest_calls")]
+    calls = [line for line in service.log() if line["logger"].endswith("rest.middleware")]
     answered = Counter(f"{line['method']} {line['status']}" for line in calls)
     for expected in ("POST /v1/refinements 202", "POST /v1/refinements 422", f"GET {ARTIFACT} 200"):
         assert answered[expected] > 5, answered

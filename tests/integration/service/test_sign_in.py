@@ -19,7 +19,7 @@ from refine_client import RefineClient
 from refine_proto.errors import NotFound, QueueFull, QuotaExceeded, Unauthenticated
 from refine_proto.v1 import refine_pb2 as pb
 from refine_proto.v1.refine_pb2_grpc import RefinementsStub
-from refine_service.auth import ApiKeys, CallRate
+from refine_service.edge.auth import ApiKeys, CallRate
 from refine_service.settings import ServiceSettings
 
 

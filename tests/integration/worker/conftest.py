@@ -19,14 +19,14 @@ import pytest
 
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_jobs.connection import connect, connect_async
+from refine_jobs.edge_store import JobStore
 from refine_jobs.embedded import EmbeddedRedis
 from refine_jobs.health import Health
 from refine_jobs.reaper import reap
 from refine_jobs.record import Job, Submission
+from refine_jobs.redis_server import connect, connect_async
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState, SlotStatus
-from refine_jobs.store import JobStore
 from refine_jobs.worker_store import WorkerStore
 from refine_proto.models import RefinementSpec, State
 

@@ -10,10 +10,10 @@ import pytest
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_proto.models import LookAtCamera, MeshFormat, RefinementSpec
-from refine_worker.engine_process import EngineProcess, EngineStartFailed
 from refine_worker.messages import Failed, Run, StageStarted
 from refine_worker.plan import SlotPlan
 from refine_worker.settings import WorkerSettings
+from refine_worker.slot.engine_process import EngineProcess, EngineStartFailed
 
 PLAN = SlotPlan(name="slot", device="cpu", threads=1)
 SPEC = RefinementSpec(

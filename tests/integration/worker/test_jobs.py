@@ -12,8 +12,8 @@ from rq import Queue
 from rq.serializers import JSONSerializer
 
 from refine_jobs import keys
-from refine_jobs.connection import connect_for_rq
 from refine_jobs.record import decode_event
+from refine_jobs.redis_server import connect_for_rq
 from refine_jobs.slots import SlotState
 from refine_proto.models import EventType, State
 

@@ -119,7 +119,7 @@ def test_settings_that_cannot_be_met_are_refused(own_workplace: Workplace) -> No
 
 def test_a_slot_is_light() -> None:
     code = (
-        "import sys, refine_worker.supervisor, refine_worker.slot_main, refine_worker.task; "
+        "import sys, refine_worker.supervisor, refine_worker.slot.main, refine_worker.slot.task; "
         "print(sorted({'torch', 'numpy', 'numba', 'refine_engine'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from refine_client import AsyncRefineClient, RefineClient, RetryPolicy
-from refine_client.connection import DEFAULT_SERVER, Connection
+from refine_client.address import DEFAULT_SERVER, Connection
 from refine_client.retry import Retries
 from refine_proto.errors import InvalidInput, QueueFull, RefineError, Unauthenticated, Unavailable
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from refine_client import sse
-from refine_client.sse import ServerSentEvent, SseParser
+from refine_client.transports import sse
+from refine_client.transports.sse import ServerSentEvent, SseParser
 
 STREAM = (
     b": ping\n\n"

@@ -5,7 +5,7 @@ import pytest
 import torch
 import trimesh
 
-from refine_engine.scene import Mesh
+from refine_engine.values import Mesh
 
 
 @pytest.fixture

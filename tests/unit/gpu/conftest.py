@@ -1,4 +1,4 @@
-"""Runs kernels.cu on the CPU: the same text, compiled by g++ with a small header in the place of CUDA's.
+"""Runs cuda.cu on the CPU: the same text, compiled by g++ with a small header in the place of CUDA's.
 
 What it shows: the arithmetic, the indices, the argument lists, the grids and every write within its buffer.
 What it cannot show: races between threads, the card's own rounding (fused multiply-add, expf) and speed.
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from refine_engine import Camera, Mesh, View
-from refine_engine.silhouette import device_code
+from refine_engine.kernels import nvrtc
 
 Bytes = NDArray[np.uint8]
 HERE = Path(__file__).parent
@@ -30,10 +30,10 @@ KERNEL = re.compile(r'extern "C" __global__ void (\w+)\(([^)]*)\)')
 
 
 class Emulator:
-    """Stands in for `device_code.launch` on CPU tensors."""
+    """Stands in for `nvrtc.launch` on CPU tensors."""
 
     def __init__(self, folder: Path) -> None:
-        text = device_code.kernel_text()
+        text = nvrtc.kernel_text()
         wrappers = []
         for name, parameters in KERNEL.findall(text):
             passed = ", ".join(p.split()[-1].lstrip("*") for p in parameters.split(","))
@@ -43,7 +43,7 @@ class Emulator:
             )
         source = folder / "emulated.cpp"
         source.write_text(f'#include "cuda_on_cpu.h"\n{text}\n{"".join(wrappers)}')
-        macros = [f"-D{name}={value}" for name, value in device_code.MACROS]
+        macros = [f"-D{name}={value}" for name, value in nvrtc.MACROS]
         flags = ["-std=c++17", "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-Wno-unknown-pragmas"]
         library = folder / "emulated.so"
         command = ["g++", *flags, *macros, f"-I{HERE}", "-shared", "-fPIC", str(source), "-o", str(library)]
@@ -54,7 +54,7 @@ class Emulator:
         self.launched: set[str] = set()
 
     def launch(self, name: str, grid: tuple[int, int], *arguments: Tensor | int | float) -> None:
-        """As `device_code.launch`; raises if the kernel wrote outside its tensors."""
+        """As `nvrtc.launch`; raises if the kernel wrote outside its tensors."""
         values: list[ctypes.c_int | ctypes.c_float | ctypes.c_void_p] = []
         guarded: list[tuple[Bytes, Bytes]] = []
         for argument in arguments:
@@ -69,7 +69,7 @@ class Emulator:
                 values.append(
                     ctypes.c_int(argument) if isinstance(argument, int) else ctypes.c_float(argument)
                 )
-        block = device_code.BLOCK
+        block = nvrtc.BLOCK
         getattr(self._library, f"emulate_{name}")(*grid, block, ctypes.c_bool(self.backwards), *values)
         self.launched.add(name)
         for content, buffer in guarded:
@@ -91,7 +91,7 @@ def emulator(compiled: Emulator, monkeypatch: pytest.MonkeyPatch) -> Emulator:
     """The CUDA back end launches its kernels on the CPU, so that it takes CPU tensors."""
     compiled.backwards = False
     compiled.launched = set()
-    monkeypatch.setattr(device_code, "launch", compiled.launch)
+    monkeypatch.setattr(nvrtc, "launch", compiled.launch)
     return compiled
 
 

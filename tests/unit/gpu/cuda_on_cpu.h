@@ -1,4 +1,4 @@
-// What kernels.cu uses of CUDA, on the CPU: the lanes of a warp are coroutines that take turns, a shuffle is where
+// What cuda.cu uses of CUDA, on the CPU: the lanes of a warp are coroutines that take turns, a shuffle is where
 // they wait for each other. One thread, so atomics are plain. Linux (ucontext).
 #include <ucontext.h>
 

@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from refine_engine import Mesh, RefineConfig, View, cuda_graph, losses, refine
-from refine_engine.config import Stage
-from refine_engine.silhouette import cuda, interpolate, oracle
-from refine_engine.symmetry import nearest_mirrored
+from refine_engine import Mesh, RefineConfig, View, refine
+from refine_engine.kernels import cuda, graph, interpolate, oracle
+from refine_engine.method.config import Stage
+from refine_engine.method.symmetry import nearest_mirrored
 
 pytestmark = pytest.mark.skipif(
     not torch.cuda.is_available() or torch.version.hip is not None, reason="no CUDA device"
@@ -81,7 +81,7 @@ def test_image_symmetry_matches_the_plain_loss() -> None:
             value = cuda.image_symmetry(seen, mirrored, fragments, faces, confidence, 5e-4)
         else:
             sigma, covered = interpolate(fragments, faces, confidence), (fragments.face >= 0).float()
-            value = losses.image_symmetry(seen, mirrored, sigma, covered, 5e-4)
+            value = oracle.image_symmetry(seen, mirrored, sigma, covered, 5e-4)
         results.append([value.detach(), *torch.autograd.grad(value, (seen, mirrored, confidence))])
     for one, other in zip(*results, strict=True):
         assert float((one - other).norm() / other.norm()) < 1e-4
@@ -114,8 +114,8 @@ def test_a_recorded_render_follows_its_input() -> None:
     def iteration() -> None:
         out.copy_(cuda.optical_depth(screen, faces, SIDE, SOFTNESS))
 
-    run = cuda_graph.repeatable(iteration, screen.device)
-    for _ in range(cuda_graph.EAGER_RUNS + 3):
+    run = graph.repeatable(iteration, screen.device)
+    for _ in range(graph.EAGER_RUNS + 3):
         screen += 0.5
         run()
         assert torch.equal(out, cuda.optical_depth(screen, faces, SIDE, SOFTNESS))
@@ -131,7 +131,7 @@ def test_recorded_and_eager_refinement_agree(
     views = [View(view.silhouette.cuda(), view.camera) for view in views]
     config = RefineConfig(stages=(Stage(400, 112, 6e-4),))
     recorded = refine(mesh, views, config)
-    monkeypatch.setattr(cuda_graph, "EAGER_RUNS", 10**9)
+    monkeypatch.setattr(graph, "EAGER_RUNS", 10**9)
     eager = refine(mesh, views, config)
     one, other = recorded.loss_curve["total"], eager.loss_curve["total"]
     assert one[:20] == pytest.approx(other[:20], rel=1e-3)

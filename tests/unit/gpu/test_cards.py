@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from refine_engine import RefineConfig
-from refine_engine.config import Stage
+from refine_engine.method.config import Stage
 
 SCRIPT = Path(__file__).parents[3] / "benchmarks" / "cards.py"
 CPU = torch.device("cpu")

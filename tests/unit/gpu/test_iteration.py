@@ -10,10 +10,10 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from refine_engine import Mesh, RefineConfig, View, refine
-from refine_engine.config import Stage
-from refine_engine.cuda_graph import Backlog, repeatable
-from refine_engine.loop import Fit
-from refine_engine.silhouette import cpu, cuda
+from refine_engine.kernels import cpu, cuda
+from refine_engine.kernels.graph import Backlog, repeatable
+from refine_engine.method.config import Stage
+from refine_engine.method.loop import Fit
 
 # each waits for the card and brings a value to the host, by itself or to size its result
 WAITING = {

@@ -9,8 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from refine_engine import losses
-from refine_engine.silhouette import cuda, device_code, interpolate, oracle
+from refine_engine.kernels import cuda, interpolate, nvrtc, oracle
 
 SIDE = 40
 SOFTNESS = 3e-3  # reaches 3.3 pixels at this size
@@ -160,7 +159,7 @@ def plain_symmetry(
     seen: Tensor, mirrored: Tensor, fragments: Any, faces: Tensor, confidence: Tensor, cost: float
 ) -> Tensor:
     sigma, covered = interpolate(fragments, faces, confidence), (fragments.face >= 0).float()
-    return losses.image_symmetry(seen, mirrored, sigma, covered, cost)
+    return oracle.image_symmetry(seen, mirrored, sigma, covered, cost)
 
 
 @pytest.mark.parametrize("cost", [5e-4, 1.0])
@@ -203,18 +202,18 @@ def test_grids_cover_everything() -> None:
     for count in (1, 127, 128, 129, 3000, 200_000):
         x, y = cuda.per_face(count, 13)
         assert y == 13
-        assert 0 <= x * device_code.BLOCK // cuda.LANES - count < device_code.BLOCK // cuda.LANES
+        assert 0 <= x * nvrtc.BLOCK // cuda.LANES - count < nvrtc.BLOCK // cuda.LANES
         x, y = cuda.per_item(count, 13)
         assert y == 13
-        assert 0 <= x * device_code.BLOCK - count < device_code.BLOCK
+        assert 0 <= x * nvrtc.BLOCK - count < nvrtc.BLOCK
         x, y = cuda.per_query(count)
-        assert 0 <= x * device_code.BLOCK * cuda.QUERIES - count < device_code.BLOCK * cuda.QUERIES
+        assert 0 <= x * nvrtc.BLOCK * cuda.QUERIES - count < nvrtc.BLOCK * cuda.QUERIES
         assert 0 <= y * cuda.RUN - count < cuda.RUN
         assert y <= 65535  # the card's limit
 
 
 def test_numbers_said_twice_agree() -> None:
-    text = device_code.kernel_text()
+    text = nvrtc.kernel_text()
     for name, value in [("LANES", cuda.LANES), ("QUERIES", cuda.QUERIES)]:
         assert re.search(rf"\b{name} = {value};", text)
 

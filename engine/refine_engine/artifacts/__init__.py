@@ -1,0 +1,1 @@
+"""What a refinement hands back: the files, and the pictures among them."""

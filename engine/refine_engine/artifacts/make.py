@@ -1,0 +1,122 @@
+"""What a refinement hands back, by file name (design of the service contract: docs/files.md)."""
+
+from __future__ import annotations
+
+import io
+import json
+import platform
+from dataclasses import asdict, replace
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..files.mesh_file import MeshFile
+from ..kernels import interpolate, rasterize
+from ..method.config import RefineConfig
+from ..method.views import Frame, SymmetryViews
+from ..values import Mesh, Result, View
+from .pictures import draw_confidence, draw_preview
+
+_VERSIONED = ("refine-mesh", "torch", "numpy", "scipy", "numba", "trimesh", "pillow")
+
+
+def make_artifacts(mesh_file: MeshFile, view: View, result: Result, config: RefineConfig) -> dict[str, bytes]:
+    """All artifacts of one refinement of `mesh_file.mesh` against `view`.
+
+    refined.glb       the input file with moved vertices and `_SYMMETRY_CONFIDENCE`
+    confidence.glb    the welded mesh coloured by confidence, red low, green high
+    confidence.png    the confidence as the input camera sees it
+    confidence.npz    the confidence per vertex and as maps of all symmetry views, see `confidence_arrays`
+    preview.png       before and after, for people
+    report.json       2D IoU, loss curve, effective configuration, seconds, device, versions, warnings
+    """
+    vertices, confidence = result.mesh.vertices, result.confidence
+    arrays = io.BytesIO()
+    np.savez_compressed(arrays, **confidence_arrays(mesh_file, result, config))
+    report = json.dumps(make_report(mesh_file, result, config), indent=2, allow_nan=False)
+    return {
+        "refined.glb": mesh_file.with_vertices(vertices, confidence),
+        "confidence.glb": mesh_file.confidence_glb(vertices, confidence),
+        "confidence.png": draw_confidence(view, result.mesh, confidence),
+        "confidence.npz": arrays.getvalue(),
+        "preview.png": draw_preview(view, mesh_file.mesh, result.mesh, confidence),
+        "report.json": report.encode() + b"\n",
+    }
+
+
+def confidence_arrays(mesh_file: MeshFile, result: Result, config: RefineConfig) -> dict[str, Any]:
+    """The arrays of confidence.npz, float32.
+
+    vertices (V, 3), faces (F, 3)   the refined welded mesh, world units
+    vertex (V,)                     confidence per vertex of it
+    source_vertex (S,)              confidence per vertex of the input file, NaN where no triangle uses it
+    views (2m, N, N)                confidence seen by the m symmetry cameras, then by their m reflections;
+                                    NaN on background
+    world_to_camera (2m, 4, 4)      those cameras (OpenCV axes), in the frame (x - centre) / scale
+    intrinsics (2m, 4)              their fx, fy, cx, cy in pixels
+    centre (3,), scale ()           that frame in world units
+    """
+    confidence = result.confidence.detach().cpu()
+    of_source = mesh_file.vertex_of_source
+    per_source = torch.where(of_source >= 0, confidence[of_source.clamp_min(0)], torch.nan)
+    coarse = Mesh(mesh_file.mesh.vertices.cpu(), mesh_file.mesh.faces.cpu())
+    frame = Frame.of(coarse, replace(config, symmetry_offset=result.symmetry_offset))
+    side = config.stages[-1].render_size
+    views = SymmetryViews.of(config, side, frame.normal)
+    vertices = result.mesh.vertices.detach().cpu()
+    fragments = rasterize(views.project(frame.normalise(vertices)), coarse.faces, (side, side))
+    maps = interpolate(fragments, coarse.faces, confidence)
+    arrays = {
+        "vertices": vertices,
+        "faces": coarse.faces,
+        "vertex": confidence,
+        "source_vertex": per_source,
+        "views": torch.where(fragments.face >= 0, maps, torch.nan),
+        "world_to_camera": views.world_to_camera,
+        "intrinsics": views.intrinsics,
+        "centre": frame.centre,
+        "scale": torch.tensor(frame.scale),
+    }
+    return {name: tensor.numpy() for name, tensor in arrays.items()}
+
+
+def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> dict[str, Any]:
+    """report.json as an object."""
+    device = result.mesh.vertices.device
+    return {
+        "silhouette_iou": {"before": result.silhouette_iou_before, "after": result.silhouette_iou_after},
+        "best_iteration": result.best_iteration,
+        "symmetry_offset": result.symmetry_offset,
+        "mesh": {
+            "vertices": len(mesh_file.mesh.vertices),
+            "faces": len(mesh_file.mesh.faces),
+            "source_vertices": len(mesh_file.vertex_of_source),
+        },
+        "confidence": {
+            "min": float(result.confidence.min()),
+            "mean": float(result.confidence.mean()),
+            "max": float(result.confidence.max()),
+        },
+        "seconds": result.seconds,
+        "device": torch.cuda.get_device_name(device)
+        if device.type == "cuda"
+        else f"cpu ({platform.machine()})",
+        "warnings": [*mesh_file.warnings, *result.warnings],
+        "config": asdict(config),
+        "versions": {"python": platform.python_version(), **_versions()},
+        "loss_curve": {name: [float(x) for x in curve] for name, curve in result.loss_curve.items()},
+    }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in _VERSIONED:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # run from a source tree that is not installed
+            continue
+    return found

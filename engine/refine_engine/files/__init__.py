@@ -1,0 +1,1 @@
+"""Bytes of meshes and images -> tensors, and meshes back into their files. Read under limits."""

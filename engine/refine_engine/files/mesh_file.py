@@ -1,0 +1,195 @@
+"""Bytes <-> Mesh. Reading a mesh gives a MeshFile, which can write the moved vertices back into what was
+read.
+
+docs/files.md says what is read, what survives and what is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import PurePath
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import FormatUnsupported, MeshInvalid
+from ..values import Mesh
+from . import gltf
+from .gltf_edit import CONFIDENCE, move_vertices, overwritable_accessors
+from .gltf_geometry import SceneGeometry, read_scene
+from .limits import MeshLimits, one_line
+from .polygons import mesh_document, read_polygons
+from .weld import Floats, Weld, smooth_groups, vertex_normals, weld
+
+__all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "confidence_colours", "read_mesh"]
+DEFAULT_LIMITS = MeshLimits()
+_SUFFIXES = ("glb", "gltf", "obj", "ply", "stl", "off")
+_OFF_MAGIC = re.compile(rb"\s*(ST|C|N|4|n)*OFF[\s\d#]")
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A mesh file that was read: the mesh to optimise, and the way back into the file.
+
+    S is the number of vertices in the file (of all placed instances), V that of the welded mesh.
+    """
+
+    mesh: Mesh  # (V) welded, world units, node transforms applied
+    vertex_of_source: (
+        Tensor  # (S,) int64: welded vertex of each vertex of the file, -1 where no triangle uses it
+    )
+    warnings: tuple[str, ...]
+    _document: gltf.Document
+    _scene: SceneGeometry
+    _weld: Weld
+    _overwritable: frozenset[int]
+
+    def with_vertices(self, vertices: Tensor, confidence: Tensor) -> bytes:
+        """The file as a GLB with moved vertices (V, 3) in world units and their symmetry confidence (V,).
+
+        Positions, normals, bounds and the attribute `_SYMMETRY_CONFIDENCE` are new, tangents are dropped, all
+        else is as it was read. Vertices that no triangle uses stay where they are, with confidence 0.
+        """
+        self._check(vertices, confidence)
+        of_source = self._weld.vertex_of
+        used = of_source >= 0
+        before = self._scene.world_positions()
+        moved = self._moved(vertices)
+        after = np.where(used[:, None], moved[of_source], before)
+        normals = self._scene.world_normals()
+        group = smooth_groups(of_source, normals)
+        shown = vertex_normals(before, after, self._scene.faces, group, normals)
+        positions, local_normals = before.copy(), normals.copy()
+        for placement in self._scene.placements:
+            part = placement.source
+            stays = ~used[part, None]
+            moved_local = placement.moved(after[part], of_source[part])
+            positions[part] = np.where(stays, placement.positions, moved_local)
+            local = placement.normals_to_local(shown[part])
+            local_normals[part] = np.where(
+                stays & placement.normals.any(1, keepdims=True), placement.normals, local
+            )
+        sigma = np.where(used, confidence.detach().cpu().double().numpy()[of_source], 0.0)
+        document = move_vertices(
+            self._document, self._scene.placements, self._overwritable, positions, local_normals, sigma
+        )
+        return document.to_glb()
+
+    def confidence_glb(self, vertices: Tensor, confidence: Tensor) -> bytes:
+        """The welded mesh with vertex colours from red (confidence 0) to green (confidence 1)."""
+        self._check(vertices, confidence)
+        points = vertices.detach().cpu().double().numpy()
+        faces = self.mesh.faces.cpu().numpy()
+        none = np.zeros_like(points)
+        normals = vertex_normals(points, points, faces, np.arange(len(points)), none)
+        rgb = confidence_colours(confidence.detach().cpu().double().numpy())
+        part = {
+            "POSITION": points.astype("<f4"),
+            "NORMAL": normals.astype("<f4"),
+            "COLOR_0": np.concatenate([rgb, np.ones((len(rgb), 1))], 1).astype("<f4"),
+            CONFIDENCE: confidence.detach().cpu().numpy().astype("<f4")[:, None],
+            "faces": faces,
+        }
+        matte = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
+        return mesh_document([part], matte).to_glb()
+
+    def _moved(self, vertices: Tensor) -> Floats:
+        """New world positions (V, 3) in float64: the file's own positions plus what the optimisation moved
+        them, so that a mesh far from the origin keeps its precision and an unmoved vertex its bits."""
+        start = self._scene.world_positions()[self._weld.source_of]
+        moved: Floats = start + (vertices.detach().cpu().double() - self.mesh.vertices.cpu().double()).numpy()
+        return moved
+
+    def _check(self, vertices: Tensor, confidence: Tensor) -> None:
+        count = len(self.mesh.vertices)
+        if tuple(vertices.shape) != (count, 3) or tuple(confidence.shape) != (count,):
+            raise ValueError(
+                f"expected vertices ({count}, 3) and confidence ({count},), "
+                f"got {tuple(vertices.shape)} and {tuple(confidence.shape)}"
+            )
+        if not (torch.isfinite(vertices).all() and torch.isfinite(confidence).all()):
+            raise ValueError("expected finite vertices and confidence, got NaN or infinity")
+
+
+def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> MeshFile:
+    """Read a GLB, glTF (embedded data), OBJ, PLY, STL or OFF file.
+
+    The format is decided by the content where it can be, else by the suffix of `name`.
+    Raises FormatUnsupported or MeshInvalid.
+    """
+    limits.check_bytes(len(data))
+    kind = _sniff(data, name)
+    with _malformed(kind):
+        document = gltf.parse(data) if kind in ("glb", "gltf") else read_polygons(data, kind, limits)
+        scene = read_scene(document, limits)
+        overwritable = overwritable_accessors(document, {placement.node for placement in scene.placements})
+    positions = scene.world_positions()
+    welded = weld(positions, scene.faces)
+    if not len(welded.faces):
+        raise MeshInvalid(f"expected triangles with an area, got {len(scene.faces)} whose corners coincide")
+    limits.check_welded(len(welded.source_of))
+    vertices = torch.from_numpy(positions[welded.source_of].astype(np.float32))
+    warnings = list(scene.warnings)
+    if dropped := len(scene.faces) - len(welded.faces):
+        warnings.append(
+            f"{dropped} of {len(scene.faces)} triangles have corners that coincide and were left out"
+        )
+    return MeshFile(
+        mesh=Mesh(vertices, torch.from_numpy(welded.faces)),
+        vertex_of_source=torch.from_numpy(welded.vertex_of),
+        warnings=tuple(warnings),
+        _document=document,
+        _scene=scene,
+        _weld=welded,
+        _overwritable=overwritable,
+    )
+
+
+def confidence_colours(confidence: Floats) -> Floats:
+    """RGB (..., 3) in [0, 1]: red for confidence 0, over yellow, to green for 1."""
+    c = np.clip(confidence, 0.0, 1.0)
+    return np.stack([np.minimum(1.0, 2.0 - 2.0 * c), np.minimum(1.0, 2.0 * c), np.zeros_like(c)], -1)
+
+
+def _sniff(data: bytes, name: str) -> str:
+    suffix = PurePath(name).suffix.lower().removeprefix(".")
+    start = data[:1024].removeprefix(b"\xef\xbb\xbf")
+    if start.startswith(gltf.MAGIC):
+        return "glb"
+    if start.lstrip().startswith(b"{"):
+        return "gltf"
+    if re.match(rb"ply\s", start):
+        return "ply"
+    if _OFF_MAGIC.match(start):
+        return "off"
+    if suffix in ("obj", "stl", "off"):  # no magic, or (OFF) one that comments may precede
+        return suffix
+    if suffix in _SUFFIXES:
+        raise MeshInvalid(
+            f"expected a {suffix.upper()} file by the name {name!r:.60}, got {data[:8]!r} at its start"
+        )
+    raise FormatUnsupported(
+        f"expected a mesh file ({', '.join('.' + known for known in _SUFFIXES)}), "
+        f"got {name!r:.60} with unknown content"
+    )
+
+
+@contextmanager
+def _malformed(kind: str) -> Iterator[None]:
+    """Turn what untrusted structure trips over (a list where an object belongs) into MeshInvalid."""
+    try:
+        yield
+    except (
+        AttributeError,
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        OverflowError,
+        np.linalg.LinAlgError,
+    ) as error:
+        raise MeshInvalid(f"malformed {kind.upper()}: {one_line(error)}") from error

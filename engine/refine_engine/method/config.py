@@ -1,0 +1,120 @@
+"""Every number of the method, with its unit and the paper's value.
+
+Lengths are in units of the normalised mesh: the longest side of its bounding box is 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from ..errors import OptionsInvalid
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the losses, which are means over their elements (paper, section 4)."""
+
+    silhouette: float = 10.0
+    image_symmetry: float = 80.0
+    vertex_symmetry: float = 20.0
+    displacement: float = 100.0
+    normal_consistency: float = 10.0
+    laplacian: float = 10.0
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stretch of the optimisation at one image size and one softness."""
+
+    iterations: int
+    render_size: int
+    """Side of the square soft renders, pixels."""
+    softness: float
+    """Squared distance over which the silhouette fades, in normalised device units (image side = 2)."""
+
+
+@dataclass(frozen=True)
+class ProportionFit:
+    """The first step of the default: scales, shear, thickness and place of the whole mesh; not in the paper.
+
+    See `proportions`. The priors weigh squares, of unit-box lengths, against the squared difference
+    of the images relative to the object's area.
+    """
+
+    iterations: int = 60
+    render_size: int = 112
+    """Side of the square renders, pixels; at least 32, for the levels of the image pyramid."""
+    softness: float = 4e-5
+    """As in Stage; sharp, because the image pyramid reaches far and a soft outline is biased outwards."""
+    learning_rate: float = 0.015
+    shape_prior: float = 0.2
+    """On the logarithms of the scales and on the shear."""
+    thickness_prior: float = 30.0
+    """On the shift along the normals: a scale or a place explains most silhouettes as well."""
+    translation_prior: float = 0.4
+    """On the translation in the mirror plane."""
+    depth_prior: float = 2.0
+    """On the translation along the viewing direction, which one silhouette hardly sees."""
+    plane_prior: float = 0.002
+    """On the translation along the plane's normal, over the squared distance of mesh and mirror image."""
+
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """The numbers of one run. The defaults are the recommended preset; `paper()`, `fast()` the others."""
+
+    proportions: ProportionFit | None = field(default_factory=ProportionFit)
+    """The fit of the whole mesh before the network; None: no such step (paper)."""
+    stages: tuple[Stage, ...] = (Stage(200, 224, 3e-5),)
+    weights: Weights = field(default_factory=lambda: Weights(normal_consistency=3.0))
+    """The paper's, less the one that flattens: once the proportions are right, the rest is local."""
+    confidence_cost: float = 0.0005
+    """lambda_B: what it costs to call a place asymmetric."""
+    learning_rate: float = 1.4e-4
+    encoder_size: int = 112
+    """Side of the silhouette that the encoder sees, pixels."""
+    train_encoder: bool = False
+    """False: the random features of the silhouette are computed once (paper: True)."""
+    symmetry_azimuths_degrees: tuple[float, ...] = (15.0, 45.0, 75.0)
+    symmetry_elevations_degrees: tuple[float, ...] = (-45.0, 45.0)
+    symmetry_distance: float = 1.9
+    symmetry_fov_degrees: float = 60.0
+    symmetry_normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Normal of the mirror plane, world frame."""
+    symmetry_offset: float | None = None
+    """The plane is normal.x = offset, world units; None: where the mirrored mesh is nearest to itself."""
+    seed: int = 0
+    """Of the network's random weights."""
+
+    def __post_init__(self) -> None:
+        length = math.sqrt(sum(x * x for x in self.symmetry_normal))
+        if not (math.isfinite(length) and length > 1e-6):
+            raise OptionsInvalid(f"expected a symmetry_normal with a direction, got {self.symmetry_normal}")
+        if self.symmetry_offset is not None and not math.isfinite(self.symmetry_offset):
+            raise OptionsInvalid(f"expected a finite symmetry_offset, got {self.symmetry_offset}")
+        if not self.stages or min(stage.iterations for stage in self.stages) < 1:
+            raise OptionsInvalid(f"expected stages of at least one iteration, got {self.stages}")
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of all stages together."""
+        return sum(stage.iterations for stage in self.stages)
+
+    @staticmethod
+    def paper() -> RefineConfig:
+        """The published method, for comparison with the literature: plane through the world origin."""
+        return RefineConfig(
+            proportions=None,
+            weights=Weights(),
+            stages=(Stage(400, 224, 1e-4),),
+            learning_rate=7e-5,
+            encoder_size=224,
+            train_encoder=True,
+            symmetry_offset=0.0,
+        )
+
+    @staticmethod
+    def fast() -> RefineConfig:
+        """A quarter of the cost of `paper()` or less."""
+        return RefineConfig(stages=(Stage(60, 224, 3e-5),), learning_rate=2e-4)

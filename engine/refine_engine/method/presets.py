@@ -1,0 +1,52 @@
+"""What a user may choose about a run, and the RefineConfig that it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import pairwise
+
+from ..errors import OptionsInvalid
+from .config import RefineConfig, Stage
+
+PRESETS: Mapping[str, Callable[[], RefineConfig]] = {
+    "paper": RefineConfig.paper,
+    "default": RefineConfig,
+    "fast": RefineConfig.fast,
+}
+MAX_ITERATIONS = 10_000
+
+
+def make_config(
+    preset: str = "default",
+    iterations: int | None = None,
+    seed: int = 0,
+    symmetry_normal: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    symmetry_offset: float | None = None,
+) -> RefineConfig:
+    """The preset with the given choices; `iterations` and `symmetry_offset` of None leave the preset's.
+
+    Raises OptionsInvalid.
+    """
+    if preset not in PRESETS:
+        raise OptionsInvalid(f"expected preset to be one of {', '.join(PRESETS)}, got {preset!r:.60}")
+    config = replace(PRESETS[preset](), seed=seed, symmetry_normal=symmetry_normal)
+    if symmetry_offset is not None:
+        config = replace(config, symmetry_offset=symmetry_offset)
+    if iterations is not None:
+        config = replace(config, stages=shorten(config.stages, iterations))
+    return config
+
+
+def shorten(stages: tuple[Stage, ...], iterations: int) -> tuple[Stage, ...]:
+    """The stages with their shares of another number of iterations; one whose share is none is left out."""
+    if not 1 <= iterations <= MAX_ITERATIONS:
+        raise OptionsInvalid(f"expected 1 to {MAX_ITERATIONS} iterations, got {iterations}")
+    total = sum(stage.iterations for stage in stages)
+    ends = [0]
+    for stage in stages:
+        ends.append(ends[-1] + stage.iterations)
+    shares = [after * iterations // total - before * iterations // total for before, after in pairwise(ends)]
+    return tuple(
+        replace(stage, iterations=share) for stage, share in zip(stages, shares, strict=True) if share
+    )

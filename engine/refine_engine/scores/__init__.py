@@ -1,0 +1,1 @@
+"""How near a mesh is to the truth; loaded by `refine eval` and `refine bench` only."""

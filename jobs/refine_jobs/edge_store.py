@@ -1,0 +1,268 @@
+"""JobStore: jobs as the edge sees them. Asynchronous; every answer is the owner's or NOT_FOUND.
+
+Each change is one Lua script (lua/), so that no crash and no race leaves a job half way. The worker's side of
+the same records is worker_store.py.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+import secrets
+from collections.abc import AsyncGenerator
+from dataclasses import dataclass
+from typing import Any
+
+from redis.asyncio import Redis
+
+from refine_proto.errors import (
+    Conflict,
+    Expired,
+    IdempotencyKeyReused,
+    InvalidInput,
+    NotFound,
+    OptionsInvalid,
+    QueueFull,
+    QuotaExceeded,
+    Unavailable,
+)
+from refine_proto.models import Event, FieldError, Refinement, RefinementPage, RefinementSpec, State
+
+from . import keys
+from .delivery import Delivery
+from .feed import EventFeed
+from .record import Job, Submission, encode, to_json
+from .redis_server import RETRY_S, unavailable
+from .scripts import script
+from .settings import JobSettings
+
+_BUSY_RETRY_S = 10.0  # queue full: a job takes longer than this
+
+
+@dataclass(frozen=True)
+class Submitted:
+    """The answer to submit."""
+
+    refinement: Refinement
+    replayed: bool  # the answer that an earlier submission with the same idempotency key had
+
+
+class JobStore:
+    """All that the edge does with jobs. Raises the errors of refine_proto.errors."""
+
+    def __init__(self, redis: Redis, settings: JobSettings) -> None:
+        self._redis: Any = redis  # redis-py's types cannot say that it decodes responses
+        self._settings = settings
+        self._delivery = Delivery(settings.pool)
+        self._feed = EventFeed(redis, self._find)
+        self._submit = redis.register_script(script("submit"))
+        self._cancel = redis.register_script(script("cancel"))
+        self._delete = redis.register_script(script("delete"))
+
+    async def close(self) -> None:
+        """Stop the event feed and close the connections."""
+        await self._feed.close()
+        await self._redis.aclose()
+
+    def check_options(self, spec: RefinementSpec) -> RefinementSpec:
+        """The spec with effective options; raises OptionsInvalid for what this server does not allow."""
+        limit_s = self._settings.job_timeout_s
+        timeout_s = spec.options.timeout_s or limit_s
+        if timeout_s > limit_s:
+            detail = f"expected timeout_s of at most {limit_s:g} on this server, got {timeout_s:g}"
+            raise OptionsInvalid(detail, errors=[FieldError(pointer="/options/timeout_s", detail=detail)])
+        return spec.model_copy(update={"options": spec.options.model_copy(update={"timeout_s": timeout_s})})
+
+    @unavailable
+    async def begin_upload(self, owner: str) -> str:
+        """A new id, under which the caller may write the input blobs before `submit`.
+
+        Refuses early what submit would refuse for lack of room. Blobs of an upload that is never submitted
+        are removed after keys.UPLOAD_S.
+        """
+        job_id = secrets.token_hex(16)
+        async with self._redis.pipeline(transaction=False) as pipe:
+            pipe.zcard(keys.QUEUED)
+            pipe.hget(keys.QUEUED_BY_OWNER, owner)
+            pipe.time()
+            queued, of_owner, (seconds, _) = await pipe.execute()
+        if queued >= self._settings.max_queued:
+            raise self._queue_full()
+        if int(of_owner or 0) >= self._settings.max_queued_per_owner:
+            raise self._quota_exceeded()
+        await self._redis.zadd(keys.UPLOADS, {job_id: seconds * 1000})
+        return job_id
+
+    @unavailable
+    async def discard_upload(self, job_id: str) -> None:
+        """Forget an upload that will not be submitted; its blobs go soon."""
+        async with self._redis.pipeline(transaction=True) as pipe:
+            pipe.zrem(keys.UPLOADS, job_id)
+            pipe.sadd(keys.TRASH, job_id)
+            await pipe.execute()
+
+    @unavailable
+    async def submit(self, submission: Submission) -> Submitted:
+        """Queue a job, or give the first answer again for the same idempotency key and content.
+
+        Raises IdempotencyKeyReused for the same key with other content, QueueFull and QuotaExceeded. In every
+        case but a new job the blobs of the submission are removed.
+        """
+        settings, spec = self._settings, self.check_options(submission.spec)
+        record = encode(
+            {
+                "spec": spec,
+                "mesh": submission.mesh,
+                "silhouette": submission.silhouette,
+                "request_id": submission.request_id,
+                "traceparent": submission.traceparent,
+            }
+        )
+        timeout_s = spec.options.timeout_s or settings.job_timeout_s
+        outcome, job_id = await self._submit(
+            args=[
+                submission.id,
+                submission.owner,
+                self._idempotency_key(submission),
+                _fingerprint(submission),
+                int(settings.idempotency_s * 1000),
+                settings.max_queued,
+                settings.max_queued_per_owner,
+                int(settings.retention_s * 1000),
+                len(record),
+                *record,
+                *self._delivery.enqueue(submission.id, 1, timeout_s),
+            ]
+        )
+        if outcome == "queue_full":
+            raise self._queue_full()
+        if outcome == "quota":
+            raise self._quota_exceeded()
+        if outcome == "reused":
+            raise IdempotencyKeyReused(
+                f"the idempotency key belongs to refinement {job_id} with other content; use a new key"
+            )
+        if outcome == "upload_gone":
+            raise Unavailable(
+                "the upload took too long and was removed; send it again", retry_after_s=RETRY_S
+            )
+        return Submitted(await self.get(submission.owner, job_id), outcome == "replayed")
+
+    @unavailable
+    async def get(self, owner: str, job_id: str) -> Refinement:
+        """One refinement; raises NotFound, also for another owner's, and Expired."""
+        async with self._redis.pipeline(transaction=False) as pipe:
+            pipe.hgetall(keys.JOB + job_id)
+            pipe.zrank(keys.QUEUED, job_id)
+            fields, rank = await pipe.execute()
+        return _owned(owner, job_id, fields).refinement(rank)
+
+    @unavailable
+    async def list(self, owner: str, limit: int = 20, cursor: str | None = None) -> RefinementPage:
+        """The owner's refinements, newest first; `cursor` is the `next_cursor` of the page before."""
+        below = f"({_number(cursor)}" if cursor else "+inf"
+        found = await self._redis.zrange(
+            keys.OWNER + owner,
+            below,
+            "-inf",
+            byscore=True,
+            desc=True,
+            offset=0,
+            num=limit + 1,
+            withscores=True,
+        )
+        async with self._redis.pipeline(transaction=False) as pipe:
+            for job_id, _ in found[:limit]:
+                pipe.hgetall(keys.JOB + job_id)
+                pipe.zrank(keys.QUEUED, job_id)
+            values = await pipe.execute()
+        # An entry without a record was removed between the two steps.
+        jobs = [
+            (Job.decode(f), rank) for f, rank in zip(values[::2], values[1::2], strict=True) if "spec" in f
+        ]
+        return RefinementPage(
+            refinements=[job.refinement(rank) for job, rank in jobs],
+            next_cursor=_cursor(int(found[limit - 1][1])) if len(found) > limit else None,
+        )
+
+    async def watch(self, owner: str, job_id: str, after_sequence: int = 0) -> AsyncGenerator[Event, None]:
+        """The events after a sequence number, past and to come; ends after the completed one.
+
+        Raises NotFound and Expired on the first step.
+        """
+        job = await self._job(owner, job_id)
+        if job.state.terminal and after_sequence >= job.sequence:
+            return
+        async for event in self._feed.follow(job_id, after_sequence):
+            yield event
+
+    @unavailable
+    async def cancel(self, owner: str, job_id: str) -> Refinement:
+        """Queued: cancelled at once; running: cancelling; otherwise unchanged."""
+        job = await self._job(owner, job_id)
+        retention_ms = int(self._settings.retention_s * 1000)
+        withdraw = self._delivery.withdraw(job_id, job.attempt + 1)
+        await self._cancel(args=[job_id, retention_ms, *withdraw])
+        return await self.get(owner, job_id)
+
+    @unavailable
+    async def delete(self, owner: str, job_id: str) -> None:
+        """Remove the record now and the blobs soon; raises Conflict while a worker has the job."""
+        job = await self._job(owner, job_id)
+        if not await self._delete(args=[job_id, *self._delivery.withdraw(job_id, job.attempt + 1)]):
+            raise Conflict(
+                f"refinement {job_id} is running; cancel it and wait for its end before deleting it"
+            )
+
+    async def _job(self, owner: str, job_id: str) -> Job:
+        return _owned(owner, job_id, await self._redis.hgetall(keys.JOB + job_id))
+
+    async def _find(self, job_id: str) -> Refinement | None:
+        fields = await self._redis.hgetall(keys.JOB + job_id)
+        return Job.decode(fields).refinement() if "spec" in fields else None
+
+    def _idempotency_key(self, submission: Submission) -> str:
+        key = submission.idempotency_key
+        return keys.idempotency(submission.owner, _sha256(key)) if key else ""
+
+    def _queue_full(self) -> QueueFull:
+        return QueueFull(
+            f"the queue holds {self._settings.max_queued} jobs, its limit; try again later",
+            retry_after_s=_BUSY_RETRY_S,
+        )
+
+    def _quota_exceeded(self) -> QuotaExceeded:
+        return QuotaExceeded(
+            f"you have {self._settings.max_queued_per_owner} queued jobs, your limit; wait for some to start",
+            retry_after_s=_BUSY_RETRY_S,
+        )
+
+
+def _owned(owner: str, job_id: str, fields: dict[str, str]) -> Job:
+    if not fields or fields["owner"] != owner:
+        raise NotFound(f"there is no refinement {job_id[:64]}")
+    if fields["state"] == State.EXPIRED:
+        raise Expired(f"refinement {job_id} has expired; its data is gone")
+    return Job.decode(fields)
+
+
+def _fingerprint(submission: Submission) -> str:
+    """The same for the same files and the same spec, however it was written."""
+    return _sha256(to_json([submission.spec, submission.mesh, submission.silhouette]))
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _cursor(number: int) -> str:
+    return base64.urlsafe_b64encode(str(number).encode()).decode().rstrip("=")
+
+
+def _number(cursor: str) -> int:
+    try:
+        return int(base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)))
+    except (ValueError, binascii.Error):
+        detail = f"expected the next_cursor of an earlier page, got {cursor[:40]!r}"
+        raise InvalidInput(detail, errors=[FieldError(pointer="/cursor", detail=detail)]) from None

@@ -1,0 +1,1 @@
+"""What both transports stand on: sign-in, submission, events, artifacts, errors, metrics."""

@@ -1,0 +1,90 @@
+"""What both transports stand on: store, blobs, sign-in, metrics, and whether the process is stopping."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+
+from refine_jobs.blobs import BlobStore
+from refine_jobs.edge_store import JobStore
+from refine_jobs.health import Health
+from refine_jobs.redis_server import connect_async
+from refine_jobs.settings import JobSettings
+from refine_proto.errors import Draining, RefineError, Unavailable
+from refine_proto.models import Refinement, RefinementUrls
+
+from ..settings import ServiceSettings
+from .auth import ApiKeys, Auth, CallRate
+from .prometheus import Metrics
+
+COLLECTION = "/v1/refinements"
+_RETRY_S = 5.0  # another replica, or this one restarted
+
+
+@dataclass(frozen=True)
+class Edge:
+    """One per process, made in its event loop."""
+
+    settings: ServiceSettings
+    store: JobStore
+    blobs: BlobStore
+    health: Health
+    auth: Auth
+    metrics: Metrics
+    draining: asyncio.Future[None]  # done once the process is stopping
+
+    async def refinement(self, owner: str, refinement_id: str) -> Refinement:
+        """The owner's refinement as callers see it; raises NotFound and Expired."""
+        return with_urls(await self.store.get(owner, refinement_id))
+
+    def check_not_draining(self) -> None:
+        """Raise Draining if the process takes nothing new."""
+        if self.draining.done():
+            raise Draining("this server is shutting down; send the request again", retry_after_s=_RETRY_S)
+
+    async def not_ready(self) -> RefineError | None:
+        """Why calls should go elsewhere, or None."""
+        try:
+            self.check_not_draining()
+            await self.health.check_writable()
+            await asyncio.to_thread(self.blobs.check_writable)
+            if not await self.health.slots():
+                return Unavailable("expected a live worker slot, got none; jobs wait", retry_after_s=_RETRY_S)
+        except RefineError as error:
+            return error
+        except Exception as error:  # whatever the blob store raises
+            return Unavailable(f"the blob store takes no writes: {error}", retry_after_s=_RETRY_S)
+        return None
+
+
+@asynccontextmanager
+async def open_edge(settings: ServiceSettings, jobs: JobSettings, redis_url: str) -> AsyncIterator[Edge]:
+    """The edge of this process; closed at the end."""
+    redis = connect_async(redis_url)
+    store = JobStore(redis, jobs)
+    keys = ApiKeys(settings.keys_path(jobs.data_folder))
+    try:
+        yield Edge(
+            settings=settings,
+            store=store,
+            blobs=BlobStore(jobs.blob_location),
+            health=Health(redis),
+            auth=Auth(keys, CallRate(settings.requests_per_s), settings.key_required),
+            metrics=Metrics(),
+            draining=asyncio.get_running_loop().create_future(),
+        )
+    finally:
+        await store.close()
+
+
+def with_urls(refinement: Refinement) -> Refinement:
+    """With the paths of everything about it."""
+    path = f"{COLLECTION}/{refinement.id}"
+    artifacts = [
+        artifact.model_copy(update={"url": f"{path}/artifacts/{artifact.name}"})
+        for artifact in refinement.artifacts
+    ]
+    urls = RefinementUrls(refinement=path, events=f"{path}/events", cancel=f"{path}/cancel")
+    return refinement.model_copy(update={"urls": urls, "artifacts": artifacts})

@@ -1,0 +1,27 @@
+"""The REST application."""
+
+from __future__ import annotations
+
+from fastapi import FastAPI
+from starlette.types import ASGIApp
+
+from ..edge.edge import Edge
+from . import artifacts, events, health, refinements
+from .middleware import HttpCalls
+from .openapi import describe
+from .problems import install_handlers
+
+
+def make_app(edge: Edge) -> ASGIApp:
+    """Everything that HTTP offers, as one ASGI application."""
+    app = FastAPI(
+        title="REFINE",
+        version="1",  # of the contract, as in the paths
+        description="Refines a coarse mesh at test time from its silhouette and camera.",
+    )
+    app.state.edge = edge
+    for module in (refinements, events, artifacts, health):
+        app.include_router(module.router)
+    install_handlers(app)
+    app.openapi = describe(app)  # type: ignore[method-assign]
+    return HttpCalls(app, edge.metrics)

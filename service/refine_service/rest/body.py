@@ -1,0 +1,128 @@
+"""The body of `POST /v1/refinements`, multipart or JSON, as an Upload."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from typing import Any
+
+from fastapi import Request
+from pydantic import ValidationError
+from pydantic_core import from_json
+from starlette.datastructures import FormData, UploadFile
+from starlette.types import Message
+
+from refine_proto.errors import FormatUnsupported, PayloadTooLarge, from_validation
+from refine_proto.models import RefinementRequest, RefinementSpec
+
+from ..edge.submit import Upload, took_too_long
+from ..settings import ServiceSettings
+
+_FILES = ("mesh", "silhouette")
+_JSON_FIELDS = ("camera", "options")
+_MAX_FIELDS = 16  # more than there are: an unknown one is named, not counted
+_FIELD_BYTES = 64 * 1024
+_FRAMING_BYTES = 2**20  # of a multipart body around its files
+
+
+async def read_body(request: Request, settings: ServiceSettings) -> Upload:
+    """Read the body, no further than the limits; raises InvalidInput with the fields' pointers."""
+    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    try:
+        async with asyncio.timeout(settings.upload_timeout_s):
+            if media_type == "multipart/form-data":
+                return await _read_multipart(request, settings)
+            if media_type == "application/json":
+                return await _read_json(request, settings)
+    except TimeoutError:
+        raise took_too_long(settings) from None
+    raise FormatUnsupported(
+        f"expected Content-Type multipart/form-data or application/json, got {media_type or 'none'}"
+    )
+
+
+async def _read_multipart(request: Request, settings: ServiceSettings) -> Upload:
+    limit = settings.max_mesh_bytes + settings.max_silhouette_bytes + _FRAMING_BYTES
+    form = await _limited(request, limit).form(
+        max_files=_MAX_FIELDS, max_fields=_MAX_FIELDS, max_part_size=_FIELD_BYTES
+    )
+    try:
+        files = [_file(form, name) for name in _FILES]
+        return Upload(await _spec(form), *files)
+    except BaseException:
+        await form.close()
+        raise
+
+
+def _file(form: FormData, name: str) -> UploadFile:
+    value = form.get(name)
+    if isinstance(value, UploadFile):
+        return value
+    got = "none" if value is None else "a field without a file name"
+    raise from_validation([{"loc": (name,), "msg": f"expected a file, got {got}"}])
+
+
+async def _spec(form: FormData) -> RefinementSpec:
+    """From the fields beside the files; `curl -F camera=@camera.json` sends a field as a file."""
+    values: dict[str, Any] = {}
+    for name, value in form.multi_items():
+        if name in values or (name in _FILES and len(form.getlist(name)) > 1):
+            raise from_validation([{"loc": (name,), "msg": "expected one field of this name, got several"}])
+        if name in _FILES:
+            continue
+        text = value if isinstance(value, str) else await _read_and_close(value)
+        if len(text) > _FIELD_BYTES:
+            raise PayloadTooLarge(f"expected at most {_FIELD_BYTES} bytes in the field {name}, got more")
+        values[name] = _parse(name, text) if name in _JSON_FIELDS else _text(text)
+    try:
+        return RefinementSpec.model_validate(values)
+    except ValidationError as error:
+        raise from_validation(error.errors()) from None
+
+
+async def _read_and_close(file: UploadFile) -> bytes:
+    try:
+        return await file.read(_FIELD_BYTES + 1)
+    finally:
+        await file.close()
+
+
+def _text(value: str | bytes) -> str:
+    return value if isinstance(value, str) else value.decode(errors="replace")
+
+
+def _parse(name: str, text: str | bytes) -> Any:
+    try:
+        return from_json(text)
+    except ValueError as error:
+        raise from_validation([{"loc": (name,), "msg": f"expected JSON: {error}"}]) from None
+
+
+async def _read_json(request: Request, settings: ServiceSettings) -> Upload:
+    try:
+        body = RefinementRequest.model_validate_json(await _limited(request, settings.max_json_bytes).body())
+    except ValidationError as error:
+        raise from_validation(error.errors()) from None
+    spec = RefinementSpec(camera=body.camera, options=body.options, mesh_format=body.mesh_format)
+    mesh, silhouette = (UploadFile(io.BytesIO(data), size=len(data)) for data in (body.mesh, body.silhouette))
+    return Upload(spec, mesh, silhouette)
+
+
+def _limited(request: Request, limit_bytes: int) -> Request:
+    """The request with a body that is not read any further than the limit."""
+    too_large = PayloadTooLarge(
+        f"expected a body of at most {limit_bytes} bytes, got more; large files go as multipart/form-data"
+    )
+    if int(request.headers.get("content-length", 0)) > limit_bytes:
+        raise too_large
+    received = 0
+
+    async def receive() -> Message:
+        nonlocal received
+        message = await request.receive()
+        received += len(message.get("body", b""))
+        if received > limit_bytes:
+            raise too_large
+        return message
+
+    return Request(request.scope, receive)

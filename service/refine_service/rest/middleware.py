@@ -1,0 +1,97 @@
+"""REST around the routes: the call of a request, its log line and metrics, and headers on every answer."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ..edge.call import CALL, Call
+from ..edge.prometheus import Metrics
+from ..logs import fields
+
+log = logging.getLogger(__name__)
+
+
+class HttpCalls:
+    """The outermost ASGI layer: makes the Call, counts, logs, and adds headers to every answer."""
+
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+        self._app, self._metrics = app, metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        call = Call.of(headers)
+        CALL.set(call)
+        exchange = _Exchange(call, receive, send, has_body=_has_body(headers))
+        started = time.perf_counter()
+        try:
+            await self._app(scope, exchange.receive, exchange.send)
+        except Exception:
+            if not exchange.status:
+                raise
+            log.debug("the answer was sent before this error", exc_info=True)  # the handlers have logged it
+        finally:
+            self._account(scope, call, exchange, time.perf_counter() - started)
+
+    def _account(self, scope: Scope, call: Call, exchange: _Exchange, seconds: float) -> None:
+        route = getattr(scope.get("route"), "path", "(none)")  # the pattern: ids would be endless labels
+        method = f"{scope['method']} {route}"
+        status = str(exchange.status or 499)
+        self._metrics.observe("rest", method, status, seconds)
+        self._metrics.count_bytes("rest", exchange.received_bytes, exchange.sent_bytes)
+        log.info(
+            "%s %s %s",
+            scope["method"],
+            scope["path"],
+            status,
+            extra=fields(
+                method=method,
+                status=status,
+                seconds=round(seconds, 4),
+                owner=call.owner,
+                received_bytes=exchange.received_bytes,
+                sent_bytes=exchange.sent_bytes,
+            ),
+        )
+
+
+class _Exchange:
+    """What goes in and out during one request."""
+
+    def __init__(self, call: Call, receive: Receive, send: Send, has_body: bool) -> None:
+        self._call, self._receive, self._send = call, receive, send
+        self._unread = has_body
+        self.status = 0
+        self.received_bytes = self.sent_bytes = 0
+
+    async def receive(self) -> Message:
+        message = await self._receive()
+        if message["type"] == "http.request":
+            self.received_bytes += len(message.get("body", b""))
+            self._unread = self._unread and message.get("more_body", False)
+        return message
+
+    async def send(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            headers = MutableHeaders(scope=message)
+            headers["X-Request-Id"] = self._call.request_id
+            headers["X-Content-Type-Options"] = "nosniff"
+            if self._call.traceparent:
+                headers["traceparent"] = self._call.traceparent
+            if self._unread:  # the rest of the body shall not be sent
+                headers["Connection"] = "close"
+        else:
+            self.sent_bytes += len(message.get("body", b""))
+        await self._send(message)
+
+
+def _has_body(headers: Headers) -> bool:
+    return "transfer-encoding" in headers or headers.get("content-length", "0") != "0"

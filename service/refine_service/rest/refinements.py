@@ -1,0 +1,113 @@
+"""REST: the refinements. Events and artifacts are in events.py and artifacts.py."""
+
+from __future__ import annotations
+
+import re
+from contextlib import aclosing
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Request
+from fastapi.responses import Response
+
+from refine_proto.errors import Conflict, error_class
+from refine_proto.models import Refinement, RefinementPage, State
+
+from ..edge.edge import COLLECTION, Edge, with_urls
+from ..edge.follow import wait_for_end
+from ..edge.submit import submit
+from .artifacts import artifact_response
+from .body import read_body
+from .depends import CallHere, EdgeHere, Found
+from .openapi import ACCEPTED, CREATE_BODY, FINISHED, problems
+
+MAX_WAIT_S = 60
+GLB = "model/gltf-binary"
+_WAIT = re.compile(r"(?:^|[,;\s])wait\s*=\s*\"?(\d{1,9})", re.IGNORECASE)
+
+router = APIRouter(prefix=COLLECTION, tags=["refinements"])
+
+
+@router.post(
+    "",
+    status_code=202,
+    response_model=Refinement,
+    responses={200: FINISHED, 202: ACCEPTED, **problems(401, 413, 415, 422, 429, 503, 504)},
+    openapi_extra={"requestBody": CREATE_BODY},
+)
+async def create_refinement(
+    request: Request,
+    edge: EdgeHere,
+    call: CallHere,
+    prefer: Annotated[str, Header(description="`wait=N`: answer when done, N seconds at most (60).")] = "",
+    accept: Annotated[str, Header(description=f"`{GLB}`: with `wait`, the refined mesh is the body.")] = "",
+    idempotency_key: Annotated[
+        str | None, Header(description="The same key with the same content gives the first answer again.")
+    ] = None,
+) -> Response:
+    """Submit a mesh, its silhouette and the camera."""
+    edge.check_not_draining()
+    async with aclosing(await read_body(request, edge.settings)) as upload:
+        submitted = await submit(edge, call, upload, idempotency_key)
+    refinement = with_urls(submitted.refinement)
+    headers = {"Location": f"{COLLECTION}/{refinement.id}"}
+    if submitted.replayed:
+        headers["Idempotency-Replayed"] = "true"
+    if wanted := _WAIT.search(prefer):
+        wait_s = min(int(wanted[1]), MAX_WAIT_S)
+        headers["Preference-Applied"] = f"wait={wait_s}"
+        refinement = await wait_for_end(edge, call.owner, refinement.id, wait_s)
+        if refinement.state.terminal and GLB in accept:
+            return await _refined_mesh(edge, request, refinement, headers)
+    status = 200 if wanted and refinement.state.terminal else 202
+    return Response(refinement.model_dump_json(), status, headers, "application/json")
+
+
+async def _refined_mesh(
+    edge: Edge, request: Request, refinement: Refinement, headers: dict[str, str]
+) -> Response:
+    """The refined GLB itself; raises the refinement's error if there is none."""
+    if refinement.state is State.SUCCEEDED:
+        response = await artifact_response(edge, request.headers, refinement, "refined.glb", whole=True)
+        response.headers.update(headers)
+        return response
+    if refinement.error is not None:
+        raise error_class(refinement.error.reason)(refinement.error.detail, errors=refinement.error.errors)
+    raise Conflict(f"refinement {refinement.id} is {refinement.state}; it has no refined mesh")
+
+
+@router.get("", responses=problems(401, 422, 429, 503))
+async def list_refinements(
+    edge: EdgeHere,
+    call: CallHere,
+    limit: Annotated[int, Query(ge=1, le=100)] = 20,
+    cursor: Annotated[str | None, Query(description="`next_cursor` of the page before.")] = None,
+) -> RefinementPage:
+    """The caller's refinements, newest first."""
+    page = await edge.store.list(call.owner, limit, cursor)
+    return page.model_copy(update={"refinements": [with_urls(item) for item in page.refinements]})
+
+
+@router.get("/{refinement_id}", responses=problems(401, 404, 410, 422, 429, 503))
+async def get_refinement(refinement: Found) -> Refinement:
+    """One refinement."""
+    return refinement
+
+
+@router.post(
+    "/{refinement_id}/cancel",
+    response_model=Refinement,
+    responses={200: FINISHED, 202: ACCEPTED, **problems(401, 404, 410, 422, 429, 503)},
+)
+async def cancel_refinement(refinement_id: str, edge: EdgeHere, call: CallHere) -> Response:
+    """Queued: cancelled at once. Running: 202, `cancelling`, stops soon. Ended: unchanged."""
+    call.job_id = refinement_id
+    refinement = with_urls(await edge.store.cancel(call.owner, refinement_id))
+    status = 200 if refinement.state.terminal else 202
+    return Response(refinement.model_dump_json(), status, media_type="application/json")
+
+
+@router.delete("/{refinement_id}", status_code=204, responses=problems(401, 404, 409, 410, 422, 429, 503))
+async def delete_refinement(refinement_id: str, edge: EdgeHere, call: CallHere) -> None:
+    """Remove the record and its bytes; 409 while it is running."""
+    call.job_id = refinement_id
+    await edge.store.delete(call.owner, refinement_id)

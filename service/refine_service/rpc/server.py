@@ -1,0 +1,71 @@
+"""The gRPC server: our service, health checks and, behind a setting, reflection."""
+
+from __future__ import annotations
+
+import asyncio
+
+import grpc
+from grpc_health.v1 import health, health_pb2, health_pb2_grpc
+from grpc_reflection.v1alpha import reflection
+
+from refine_proto.v1.refine_pb2_grpc import add_RefinementsServicer_to_server
+
+from ..edge.edge import Edge
+from .middleware import SERVICE, RpcCalls
+from .refinements import Refinements
+
+_LOOK_S = 5.0  # between two looks whether the service is ready
+_OPTIONS = (
+    ("grpc.so_reuseport", 0),  # a second service on the port must fail, not share it
+    ("grpc.max_receive_message_length", 4 * 2**20),  # files come in chunks
+    ("grpc.max_concurrent_streams", 1000),  # of one connection
+    ("grpc.http2.min_recv_ping_interval_without_data_ms", 10_000),  # callers may look after idle watches
+)
+
+
+class RpcServer:
+    """A context in which the server runs."""
+
+    def __init__(self, edge: Edge) -> None:
+        self._edge = edge
+        self._server = grpc.aio.server(interceptors=[RpcCalls(edge)], options=_OPTIONS)
+        self._health = health.aio.HealthServicer()
+        add_RefinementsServicer_to_server(Refinements(edge), self._server)
+        health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)
+        if edge.settings.grpc_reflection:
+            names = (SERVICE, health.SERVICE_NAME, reflection.SERVICE_NAME)
+            reflection.enable_server_reflection(names, self._server)
+
+    async def start(self) -> int:
+        """Listen; the port. Raises OSError if it is taken."""
+        settings = self._edge.settings
+        address = f"{url_host(settings.host)}:{settings.grpc_port}"
+        try:
+            port = self._server.add_insecure_port(address)
+        except RuntimeError as error:
+            raise OSError(f"expected a free gRPC port, cannot listen on {address}") from error
+        await self._server.start()
+        return int(port)
+
+    async def stop(self, grace_s: float) -> None:
+        """Refuse new calls, let the others end."""
+        await self._health.enter_graceful_shutdown()
+        await self._server.stop(grace_s)
+
+    async def show_health(self) -> None:
+        """Tell readiness to those who watch grpc.health.v1, until cancelled."""
+        while True:
+            ready = await self._edge.not_ready() is None
+            status = (
+                health_pb2.HealthCheckResponse.SERVING
+                if ready
+                else health_pb2.HealthCheckResponse.NOT_SERVING
+            )
+            for name in ("", SERVICE):
+                await self._health.set(name, status)
+            await asyncio.sleep(_LOOK_S)
+
+
+def url_host(host: str) -> str:
+    """The host as it stands before a port."""
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import io
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from refine_engine.artifacts.make import make_artifacts
+from refine_engine.artifacts.pictures import hard_render
+from refine_engine.files.mesh_file import read_mesh
+from refine_engine.method.config import RefineConfig
+from refine_engine.values import Camera, Mesh, Result, View
+
+WIDTH, HEIGHT = 120, 80
+
+
+@pytest.fixture
+def artifacts(textured: bytes) -> dict[str, Any]:
+    """Artifacts of a cube that was made a little smaller; its right half is confident, its left half not."""
+    file = read_mesh(textured, "a.glb")
+    centre = file.mesh.vertices.mean(0)
+    world_to_camera = torch.eye(4)
+    world_to_camera[:3, 3] = torch.tensor([0.0, 0.0, 12.0]) - centre
+    camera = Camera(world_to_camera, 90.0, 90.0, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
+    silhouette = (hard_render(file.mesh, camera).face[0] >= 0).float()
+    view = View(silhouette, camera)
+    refined = Mesh(centre + 0.9 * (file.mesh.vertices - centre), file.mesh.faces)
+    confidence = (file.mesh.vertices[:, 0] > centre[0]).float()
+    moved = refined.vertices - file.mesh.vertices
+    curve = {"total": [2.0, 1.0]}
+    result = Result(refined, moved, confidence, 7, curve, 0.9, 0.8, 0.0, 1.5, ("slow",))
+    made: dict[str, Any] = dict(make_artifacts(file, view, result, RefineConfig()))
+    return {"file": file, "view": view, "result": result} | made
+
+
+def test_names_are_the_contract(artifacts: dict[str, Any]) -> None:
+    names = [
+        "refined.glb",
+        "confidence.glb",
+        "confidence.png",
+        "confidence.npz",
+        "preview.png",
+        "report.json",
+    ]
+    assert set(names) <= set(artifacts)
+    torch.testing.assert_close(
+        read_mesh(artifacts["refined.glb"], "a.glb").mesh.vertices,
+        artifacts["result"].mesh.vertices,
+        rtol=0,
+        atol=1e-5,
+    )
+
+
+def test_confidence_png_lies_over_the_input_image(artifacts: dict[str, Any]) -> None:
+    picture = np.asarray(Image.open(io.BytesIO(artifacts["confidence.png"]))).astype(int)
+    assert picture.shape[1:] == (WIDTH, 4)
+    seen = picture[:HEIGHT]
+    covered = (hard_render(artifacts["result"].mesh, artifacts["view"].camera).face[0] >= 0).numpy()
+    assert np.array_equal(seen[..., 3] == 255, covered)
+    assert (seen[~covered][:, 3] == 0).all()
+    rows, columns = np.nonzero(covered)
+    pixels, edge = seen[rows, columns], np.quantile(columns, (0.1, 0.9))
+    left, right = pixels[columns < edge[0]], pixels[columns > edge[1]]
+    assert left[:, 0].mean() > 200 > 100 > left[:, 1].mean()  # red
+    assert right[:, 1].mean() > 200 > 100 > right[:, 0].mean()  # green
+
+
+def test_confidence_npz_has_vertices_and_symmetry_views(artifacts: dict[str, Any]) -> None:
+    arrays = np.load(io.BytesIO(artifacts["confidence.npz"]))
+    file = artifacts["file"]
+    assert np.array_equal(arrays["vertex"], artifacts["result"].confidence)
+    assert np.array_equal(arrays["source_vertex"], arrays["vertex"][file.vertex_of_source])
+    views = arrays["views"]
+    assert views.shape == (12, 224, 224)
+    assert arrays["world_to_camera"].shape == (12, 4, 4)
+    for picture in views:
+        seen = picture[np.isfinite(picture)]
+        assert 0.05 < len(seen) / picture.size < 0.9
+        assert seen.min() >= 0
+        assert seen.max() <= 1 + 1e-6
+        assert seen.std() > 0.1  # both halves are in view
+
+
+def test_preview_shows_four_panels_in_two_rows(artifacts: dict[str, Any]) -> None:
+    picture = np.asarray(Image.open(io.BytesIO(artifacts["preview.png"]))).astype(int)
+    height, width = picture.shape[:2]
+    panels = picture.reshape(2, height // 2, 4, width // 4, 3).transpose(0, 2, 1, 3, 4)
+    for row in panels:
+        for panel in row:
+            assert 0.02 < (abs(panel - 255).sum(-1) > 30).mean() < 0.9  # neither empty nor full
+    shaded = panels[0, 1, 40:-40, 40:-40]
+    assert len(np.unique(shaded[..., 2])) >= 2  # faces in several shades
+    overlay = panels[0, 3].reshape(-1, 3)
+    for colour in ((0, 140, 51), (26, 64, 230)):  # input and after; before hides behind the input
+        assert (abs(overlay - colour).sum(1) < 60).any()
+
+
+def test_report_json_says_what_was_done(artifacts: dict[str, Any]) -> None:
+    report = json.loads(artifacts["report.json"])
+    assert report["silhouette_iou"] == {"before": 0.9, "after": 0.8}
+    assert report["config"]["weights"]["silhouette"] == RefineConfig().weights.silhouette
+    assert report["mesh"] == {"vertices": 8, "faces": 12, "source_vertices": 24}
+    assert report["loss_curve"] == {"total": [2.0, 1.0]}
+    assert report["warnings"] == ["slow"]
+    assert report["versions"]["torch"] == torch.__version__

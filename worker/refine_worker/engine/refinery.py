@@ -1,0 +1,181 @@
+"""The engine's work on one job: blobs -> inputs -> refine -> artifacts -> blobs."""
+
+from __future__ import annotations
+
+import math
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from refine_engine.artifacts.make import make_artifacts
+from refine_engine.method.config import RefineConfig
+from refine_engine.method.loop import refine
+from refine_engine.method.presets import make_config
+from refine_engine.request import Inputs, read_inputs
+from refine_engine.values import Mesh, Progress, Result, View
+from refine_jobs import keys
+from refine_jobs.blobs import BlobStore
+from refine_proto.models import Artifact, RefinementSpec, SilhouetteIou
+from refine_proto.models import Progress as ProgressModel
+
+from ..messages import Done, FromEngine, Progressed, Run, Stage, StageStarted
+
+Tell = Callable[[FromEngine], None]
+
+
+class MemoryShort(Exception):
+    """Memory of the machine or of the device did not suffice; the message says for what."""
+
+
+class Refinery:
+    """Turns the files of a job into its artifacts, on one device."""
+
+    def __init__(self, blobs: BlobStore, device: torch.device, read_memory_bytes: int) -> None:
+        self._blobs, self._device, self._read_memory_bytes = blobs, device, read_memory_bytes
+
+    def refine(self, run: Run, tell: Tell, cancelled: Callable[[], bool]) -> Done:
+        """Do the job. Raises the engine's errors and MemoryShort."""
+        mesh = self._blobs.get(keys.input_blob(run.job_id, keys.MESH))
+        silhouette = self._blobs.get(keys.input_blob(run.job_id, keys.SILHOUETTE))
+        tell(StageStarted(stage=Stage.READ))
+        with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
+            inputs = read_files(mesh, silhouette, run.spec)
+        del mesh, silhouette
+        tell(StageStarted(stage=Stage.REFINE))
+        config = config_of(run.spec)
+        with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
+            result = self.optimise(inputs, config, _Reporter(tell), cancelled)
+            tell(StageStarted(stage=Stage.STORE))
+            artifacts = make_artifacts(inputs.mesh_file, inputs.view, result, config)
+        if self._device.type == "cuda":
+            torch.cuda.empty_cache()  # for the other slots of the card
+        return Done(
+            artifacts=self._store(run, artifacts),
+            silhouette_iou=SilhouetteIou(
+                before=result.silhouette_iou_before, after=result.silhouette_iou_after
+            ),
+        )
+
+    def optimise(
+        self,
+        inputs: Inputs,
+        config: RefineConfig,
+        report: Callable[[Progress], None] | None = None,
+        cancelled: Callable[[], bool] | None = None,
+    ) -> Result:
+        """`refine_engine.refine` on this device, with the warnings about the inputs."""
+        mesh, view = inputs.mesh_file.mesh, inputs.view
+        result = refine(
+            Mesh(mesh.vertices.to(self._device), mesh.faces.to(self._device)),
+            [View(view.silhouette.to(self._device), view.camera)],
+            config,
+            report,
+            cancelled,
+        )
+        return replace(result, warnings=(*inputs.warnings, *result.warnings))
+
+    def _store(self, run: Run, artifacts: Mapping[str, bytes]) -> tuple[Artifact, ...]:
+        stored = {
+            name: self._blobs.put(keys.artifact_blob(run.job_id, run.attempt, name), data)
+            for name, data in artifacts.items()
+        }
+        return tuple(
+            Artifact(
+                name=name,
+                media_type=media_type,
+                size_bytes=stored[name].size_bytes,
+                sha256=stored[name].sha256,
+            )
+            for name, media_type in keys.ARTIFACTS.items()
+        )
+
+
+def read_files(mesh: bytes, silhouette: bytes, spec: RefinementSpec) -> Inputs:
+    """The files of a job under the words of its spec."""
+    return read_inputs(
+        mesh,
+        f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh",
+        silhouette,
+        spec.camera.model_dump(mode="json", exclude_none=True),
+        spec.options.silhouette_threshold,
+    )
+
+
+def config_of(spec: RefinementSpec) -> RefineConfig:
+    """The engine's configuration for the options of a job."""
+    options = spec.options
+    return make_config(
+        options.preset, options.iterations, options.seed, options.symmetry_normal, options.symmetry_offset
+    )
+
+
+class _Reporter:
+    """The engine's progress in the words of the contract, with the time that is left."""
+
+    def __init__(self, tell: Tell) -> None:
+        self._tell = tell
+        self._last: tuple[int, float] | None = None  # iteration, time
+        self._pace_s: float | None = None  # of an iteration
+
+    def __call__(self, progress: Progress) -> None:
+        self._measure(progress.iteration)
+        left = progress.total - progress.iteration
+        self._tell(
+            Progressed(
+                progress=ProgressModel(
+                    iteration=progress.iteration,
+                    total=progress.total,
+                    percent=round(100 * progress.iteration / progress.total, 1),
+                    eta_s=None if self._pace_s is None else round(self._pace_s * left, 1),
+                    losses={name: value for name, value in progress.losses.items() if math.isfinite(value)},
+                    silhouette_iou=progress.silhouette_iou,
+                )
+            )
+        )
+
+    def _measure(self, iteration: int) -> None:
+        """A mean that follows: iterations of a later, finer stage take longer than the first ones."""
+        now = time.monotonic()
+        if self._last is not None and iteration > self._last[0]:
+            pace_s = (now - self._last[1]) / (iteration - self._last[0])
+            self._pace_s = pace_s if self._pace_s is None else 0.7 * self._pace_s + 0.3 * pace_s
+        self._last = (iteration, now)
+
+
+@contextmanager
+def _explained(doing: str) -> Iterator[None]:
+    """Tell every kind of lack of memory as MemoryShort."""
+    try:
+        yield
+    except (MemoryError, torch.OutOfMemoryError) as error:
+        raise MemoryShort(_too_little_memory(doing)) from error
+    except RuntimeError as error:
+        if "allocate memory" not in str(error):  # torch's allocator for the CPU has no class of its own
+            raise
+        raise MemoryShort(_too_little_memory(doing)) from error
+
+
+def _too_little_memory(doing: str) -> str:
+    return f"{doing} needs more memory than there is; use a mesh with fewer vertices"
+
+
+@contextmanager
+def _memory_limit(bytes_more: int) -> Iterator[None]:
+    """Inside, this process may map so much more memory; only Linux keeps to it."""
+    if sys.platform != "linux":
+        yield
+        return
+    mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    limits = [mapped + bytes_more, *(limit for limit in before if limit != resource.RLIM_INFINITY)]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)

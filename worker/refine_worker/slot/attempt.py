@@ -1,0 +1,119 @@
+"""One attempt at a job, as the slot sees it: from the engine's first word to its last, under all limits."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+from redis.exceptions import RedisError
+
+from refine_jobs.record import Job
+from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, error_class
+from refine_proto.models import Progress, State
+
+from ..logs import fields_of
+from ..messages import Done, Failed, FromEngine, Progressed, Run, Stage, StageStarted
+from .engine_process import EngineDied
+from .slot import Slot
+
+_TICK_S = 0.5  # the lease is renewed, progress reported and a cancellation noticed so often
+
+log = logging.getLogger(__name__)
+
+
+class Stopped(Exception):
+    """The slot has to stop before the job is done."""
+
+
+class Attempt:
+    """Watches over the engine process while it works on `job`."""
+
+    def __init__(self, slot: Slot, job: Job) -> None:
+        self._slot, self._job, self._settings = slot, job, slot.settings
+        self._started = self._stage_started = self._last_sign = time.monotonic()
+        self._stage = Stage.FETCH
+        self._progress: Progress | None = None  # not reported yet
+        self._cancelled_at: float | None = None
+
+    def follow(self) -> Done:
+        """Wait for the result.
+
+        Raises an error of refine_proto.errors for the job, Stopped, or LeaseLost. After all of them the
+        engine process is idle or gone.
+        """
+        try:
+            ended = self._follow()
+        except EngineDied as died:
+            raise died.error from None
+        except BaseException:  # LeaseLost, a limit, a signal: it is still at work
+            self._slot.engine.kill()
+            raise
+        if isinstance(ended, Done):
+            return ended
+        if ended.replace_engine:
+            self._slot.engine.kill()
+        raise error_class(ended.reason)(ended.detail)
+
+    def _follow(self) -> Done | Failed:
+        engine, job = self._slot.engine, self._job
+        engine.run(Run(job_id=job.id, attempt=job.attempt, spec=job.spec, log_fields=fields_of(job)))
+        next_tick = self._started + _TICK_S
+        while True:
+            message = engine.receive(max(0.0, self._wake_at(next_tick) - time.monotonic()))
+            if isinstance(message, Done | Failed):
+                if self._progress:  # the last iteration; watchers wait for it
+                    self._renew()
+                return message
+            if message is not None:
+                self._note(message)
+            if time.monotonic() >= next_tick:
+                self._renew()
+                next_tick = time.monotonic() + _TICK_S
+            self._check_limits()
+
+    def _wake_at(self, next_tick: float) -> float:
+        """A cancellation is not left to the ticks: it has to act within 2 s."""
+        if self._cancelled_at is None:
+            return next_tick
+        return min(next_tick, self._cancelled_at + self._settings.cancel_grace_s)
+
+    def _note(self, message: FromEngine) -> None:
+        self._last_sign = time.monotonic()
+        if isinstance(message, StageStarted):
+            self._stage, self._stage_started = message.stage, self._last_sign
+        elif isinstance(message, Progressed):
+            self._progress = message.progress
+
+    def _renew(self) -> None:
+        """Keep the job, tell its progress, and hear whether it shall stop."""
+        store, job = self._slot.store, self._job
+        try:
+            state = store.report(job, self._progress) if self._progress else store.renew(job)
+        except RedisError as error:
+            log.warning("the lease could not be renewed, the job goes on: %s", error)
+            return
+        self._progress = None
+        if state is State.CANCELLING and self._cancelled_at is None:
+            self._cancelled_at = time.monotonic()
+            self._slot.engine.cancel()
+
+    def _check_limits(self) -> None:
+        now, settings = time.monotonic(), self._settings
+        if self._cancelled_at is not None and now - self._cancelled_at >= settings.cancel_grace_s:
+            raise Cancelled("stopped as was asked for; the engine was in the middle of a step")
+        if self._slot.stop_at is not None and now > self._slot.stop_at:
+            raise Stopped("its worker was shut down")
+        if now - self._started > self._job.timeout_s:
+            raise DeadlineExceeded(
+                f"expected an end within {self._job.timeout_s:g} s (options.timeout_s), got none in stage "
+                f"{self._stage}; allow more time or ask for fewer iterations"
+            )
+        if self._stage is Stage.READ and now - self._stage_started > settings.read_timeout_s:
+            raise MeshInvalid(
+                f"expected files that can be read in {settings.read_timeout_s:g} s; simplify the mesh"
+            )
+        if now - self._last_sign > settings.stall_timeout_s:
+            raise Internal(
+                f"the engine made no progress for {settings.stall_timeout_s:g} s in stage {self._stage} "
+                "and was stopped; please report it with the request id"
+            )

@@ -1,0 +1,103 @@
+"""A slot: its name, the job store, its engine process, and what it tells the others about itself."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from redis.exceptions import RedisError
+
+from refine_jobs import keys
+from refine_jobs.record import Job
+from refine_jobs.slots import SlotState, SlotStatus
+from refine_jobs.worker_store import WorkerStore
+
+from ..logs import fields_of, log_fields
+from ..plan import SlotPlan
+from ..settings import WorkerSettings
+from .engine_process import EngineProcess
+
+_PULSE_S = keys.SLOT_S / 3
+
+log = logging.getLogger(__name__)
+
+
+class Slot:
+    """What one slot has: a name, the job store, an engine process."""
+
+    def __init__(
+        self, plan: SlotPlan, store: WorkerStore, engine: EngineProcess, settings: WorkerSettings
+    ) -> None:
+        self.plan, self.store, self.engine, self.settings = plan, store, engine, settings
+        self.stop_at: float | None = None  # monotonic time by which a running job is given back
+        self._job_id: str | None = None
+        self._state = SlotState.STARTING
+        self._pulse_now = threading.Event()
+        threading.Thread(target=self._pulse, name="pulse", daemon=True).start()
+
+    @property
+    def name(self) -> str:
+        """The slot's name in records, logs and metrics."""
+        return self.plan.name
+
+    def prepare(self) -> None:
+        """Have a warm engine process. Raises EngineStartFailed."""
+        if not self.engine.warm:
+            self._rest()
+            self.engine.prepare()
+            self._rest()
+
+    @contextmanager
+    def busy_with(self, job: Job) -> Iterator[None]:
+        """Inside, the slot is shown as busy and the lines of the log carry the job's ids."""
+        self.show(SlotState.BUSY, job.id)
+        with log_fields(fields_of(job)):
+            try:
+                yield
+            finally:
+                self._rest()
+
+    def drain(self) -> None:
+        """Take no other job; give the running one back after the grace period."""
+        self.stop_at = time.monotonic() + self.settings.stop_grace_s
+        self._state = SlotState.DRAINING
+        self._pulse_now.set()  # a signal handler calls this: no word to Redis from here
+
+    def close(self) -> None:
+        """End the engine process and disappear."""
+        self.engine.kill()
+        try:
+            self.store.hide(self.name)
+        except RedisError as error:
+            log.warning("the slot could not sign off: %s", error)
+
+    def show(self, state: SlotState, job_id: str | None = None) -> None:
+        """Tell the others what this slot does."""
+        self._state, self._job_id = state, job_id
+        self._show()
+
+    def _rest(self) -> None:
+        if self.stop_at is not None:
+            self.show(SlotState.DRAINING)
+        else:
+            self.show(SlotState.IDLE if self.engine.warm else SlotState.STARTING)
+
+    def _pulse(self) -> None:
+        while True:
+            self._show()
+            self._pulse_now.wait(_PULSE_S)
+            self._pulse_now.clear()
+
+    def _show(self) -> None:
+        status = SlotStatus(name=self.name, device=self.plan.device, state=self._state, job_id=self._job_id)
+        try:
+            self.store.show(status)
+        except RedisError as error:
+            log.warning("the slot could not show itself: %s", error)
+
+
+SLOT: ContextVar[Slot] = ContextVar("the slot of this process")
