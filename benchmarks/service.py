@@ -30,6 +30,7 @@ from refine_jobs.embedded import EmbeddedRedis
 from refine_jobs.redis_server import connect
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
+from refine_proto.formats import ARTIFACTS, ArtifactName
 from refine_proto.models import Artifact, Progress, SilhouetteIou, State
 
 SAMPLE = Path(__file__).parents[1] / "examples/samples/chair"
@@ -195,9 +196,9 @@ def memory(service: Installation) -> None:
             up = service.peak_memory_mb()
             job = worker.claim(refinement.id, "by-hand")
             assert job is not None
-            name = "refined.glb"
+            name = ArtifactName.REFINED
             blob = blobs.put(keys.artifact_blob(job.id, job.attempt, name), mesh.read_bytes())
-            artifact = Artifact(name=name, media_type=keys.ARTIFACTS[name], **vars(blob))
+            artifact = Artifact(name=name, media_type=ARTIFACTS[name], **vars(blob))
             worker.finish(job, [artifact], SilhouetteIou(before=0.5, after=0.9))
             client.download(refinement.id, service.folder / refinement.id)
             down = service.peak_memory_mb()

@@ -22,22 +22,13 @@ from torch import Tensor
 
 from refine_engine.scores.scores import sample_surface
 from refine_engine.values import Camera, Mesh
+from refine_proto.formats import MESH_SUFFIXES
 
 from .cases import CaseUnavailable, read_mesh_file
 
 Frame = Literal["world", "unit_box", "unit_ball", "pixel2mesh"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
-TAILS = (
-    ".off",
-    ".obj",
-    ".ply",
-    ".glb",
-    ".gltf",
-    ".stl",
-    ".3.obj",
-    "_predict.obj",
-    "AtlasnetReconstruction.ply",
-)
+TAILS = (*MESH_SUFFIXES, ".3.obj", "_predict.obj", "AtlasnetReconstruction.ply")
 PIXEL2MESH_UNIT = 1.75  # its outputs are ShapeNet lengths / 1.75 (x 0.57 in its data preparation)
 PIXEL2MESH_CENTRE = (
     0.0,

@@ -14,6 +14,7 @@ from typing import Any, BinaryIO, NamedTuple
 from pydantic import ValidationError
 
 from refine_proto.errors import InvalidInput, from_validation
+from refine_proto.formats import format_of_name
 from refine_proto.models import CameraSpec, MeshFormat, RefinementOptions, RefinementSpec
 
 CHUNK_BYTES = 64 * 1024
@@ -57,7 +58,7 @@ def make_upload(
 ) -> Upload:
     """Check everything but the files; InvalidInput, the server's errors, if something is wrong."""
     if mesh_format is None and not isinstance(mesh, bytes):
-        mesh_format = _format_of(mesh)
+        mesh_format = format_of_name(os.fspath(mesh))
     try:
         spec = RefinementSpec.model_validate(
             {"camera": camera, "options": options or RefinementOptions(), "mesh_format": mesh_format}
@@ -70,11 +71,6 @@ def make_upload(
             f"expected an idempotency key of 8 to 255 printable ASCII characters, got {key[:40]!r}"
         )
     return Upload(spec, mesh, silhouette, key)
-
-
-def _format_of(path: str | os.PathLike[str]) -> MeshFormat | None:
-    suffix = Path(path).suffix.lower().removeprefix(".")
-    return MeshFormat(suffix) if suffix in list(MeshFormat) else None
 
 
 @contextmanager

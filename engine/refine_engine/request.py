@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from refine_proto.formats import SILHOUETTE_THRESHOLD
+
 from .cameras.in_view import check_in_view
 from .cameras.spec import camera_from_spec
 from .files.limits import MeshLimits
@@ -27,7 +29,7 @@ def read_inputs(
     mesh_name: str,
     silhouette: bytes,
     camera: Mapping[str, object],
-    silhouette_threshold: float = 0.25,
+    silhouette_threshold: float = SILHOUETTE_THRESHOLD,
     limits: MeshLimits = MeshLimits(),
 ) -> Inputs:
     """Read a mesh file, a silhouette image and a camera spec (see `camera_spec`).

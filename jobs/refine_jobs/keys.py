@@ -6,8 +6,6 @@ touches them. All scripts take their time (milliseconds) from the Redis server, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 JOB = "refine:job:"  # + id: hash, the record (record.py)
 EVENTS = "refine:events:"  # + id: stream of state, progress and completed events; entry ids are <sequence>-0
 OWNER = "refine:owner:"  # + owner: sorted set of ids by submission number, for lists
@@ -69,14 +67,3 @@ def input_blob(job_id: str, part: str) -> str:
 def artifact_blob(job_id: str, attempt: int, name: str) -> str:
     """Name of an artifact; one folder per attempt, so that a lost worker cannot overwrite its successor's."""
     return f"jobs/{job_id}/artifacts/{attempt}/{name}"
-
-
-# name -> media type, in the order in which they are listed
-ARTIFACTS: Mapping[str, str] = {
-    "refined.glb": "model/gltf-binary",
-    "confidence.glb": "model/gltf-binary",
-    "confidence.png": "image/png",
-    "confidence.npz": "application/zip",
-    "preview.png": "image/png",
-    "report.json": "application/json",
-}

@@ -26,6 +26,9 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from .formats import SILHOUETTE_THRESHOLD
+from .formats import MeshFormat as MeshFormat  # a value of the contract too
+
 # ---- what a caller sends ----
 
 
@@ -82,7 +85,10 @@ class RefinementOptions(Input):
         description="Where the mirror plane cuts its normal, world units; unset: the coarse mesh decides.",
     )
     silhouette_threshold: float = Field(
-        0.25, gt=0.0, lt=1.0, description="Pixels above this share of full scale are the object."
+        SILHOUETTE_THRESHOLD,
+        gt=0.0,
+        lt=1.0,
+        description="Pixels above this share of full scale are the object.",
     )
     timeout_s: float | None = Field(
         None, gt=0.0, description="Longest running time before DEADLINE_EXCEEDED; unset: the server's limit."
@@ -181,17 +187,6 @@ def _close(values: Sequence[float], wanted: Sequence[float], tolerance: float) -
 
 CameraSpec = Annotated[LookAtCamera | MatrixCamera, Field(discriminator="type")]
 """The camera that saw the silhouette, tagged by `type`."""
-
-
-class MeshFormat(StrEnum):
-    """The mesh files that are read; unset: recognised from the bytes."""
-
-    GLB = "glb"
-    GLTF = "gltf"
-    OBJ = "obj"
-    PLY = "ply"
-    STL = "stl"
-    OFF = "off"
 
 
 class RefinementSpec(Input):

@@ -26,6 +26,7 @@ from refine_jobs.record import Job
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState, SlotStatus
 from refine_jobs.worker_store import WorkerStore
+from refine_proto.formats import ARTIFACTS
 from refine_proto.models import Artifact, Progress, SilhouetteIou
 
 MESH = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -136,7 +137,7 @@ class Hand:
         artifacts = [
             Artifact(
                 name=name,
-                media_type=keys.ARTIFACTS[name],
+                media_type=ARTIFACTS[name],
                 size_bytes=len(data),
                 sha256=hashlib.sha256(data).hexdigest(),
             )

@@ -14,6 +14,7 @@ from pathlib import Path
 from refine_engine.cameras.spec import read_camera
 from refine_engine.files.png import read_silhouette
 from refine_engine.values import View
+from refine_proto.formats import MESH_SUFFIXES
 
 from ..cases import (
     Case,
@@ -27,7 +28,6 @@ from ..cases import (
 )
 
 CATEGORY = "all"  # nothing in the layout says more
-SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")
 
 
 def folder_cases(root: Path) -> list[Case]:
@@ -47,7 +47,7 @@ def _load(folder: Path) -> Scene:
     camera = read_camera(read_bytes(folder / "camera.json"), width, height)
     coarse, ground_truth = _mesh(folder, "coarse"), _mesh(folder, "gt")
     if coarse is None:
-        raise CaseUnavailable(f"expected {folder / 'coarse.obj'} (or {', '.join(SUFFIXES[1:])}), got none")
+        raise CaseUnavailable(f"expected {folder / 'coarse.obj'} (or {', '.join(MESH_SUFFIXES)}), got none")
     return Scene(
         read_mesh_file(coarse),
         View(silhouette, camera),
@@ -56,4 +56,4 @@ def _load(folder: Path) -> Scene:
 
 
 def _mesh(folder: Path, stem: str) -> Path | None:
-    return next((path for suffix in SUFFIXES if (path := folder / (stem + suffix)).is_file()), None)
+    return next((path for suffix in MESH_SUFFIXES if (path := folder / (stem + suffix)).is_file()), None)

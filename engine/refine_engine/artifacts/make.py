@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from refine_proto.formats import ArtifactName
+
 from ..files.mesh_file import MeshFile
 from ..kernels import interpolate, rasterize
 from ..method.config import RefineConfig
@@ -38,12 +40,12 @@ def make_artifacts(mesh_file: MeshFile, view: View, result: Result, config: Refi
     np.savez_compressed(arrays, **confidence_arrays(mesh_file, result, config))
     report = json.dumps(make_report(mesh_file, result, config), indent=2, allow_nan=False)
     return {
-        "refined.glb": mesh_file.with_vertices(vertices, confidence),
-        "confidence.glb": mesh_file.confidence_glb(vertices, confidence),
-        "confidence.png": draw_confidence(view, result.mesh, confidence),
-        "confidence.npz": arrays.getvalue(),
-        "preview.png": draw_preview(view, mesh_file.mesh, result.mesh, confidence),
-        "report.json": report.encode() + b"\n",
+        ArtifactName.REFINED: mesh_file.with_vertices(vertices, confidence),
+        ArtifactName.CONFIDENCE_MESH: mesh_file.confidence_glb(vertices, confidence),
+        ArtifactName.CONFIDENCE_IMAGE: draw_confidence(view, result.mesh, confidence),
+        ArtifactName.CONFIDENCE_ARRAYS: arrays.getvalue(),
+        ArtifactName.PREVIEW: draw_preview(view, mesh_file.mesh, result.mesh, confidence),
+        ArtifactName.REPORT: report.encode() + b"\n",
     }
 
 

@@ -14,6 +14,8 @@ from typing import NoReturn
 
 import torch
 
+from refine_proto.formats import SILHOUETTE_THRESHOLD
+
 from ..artifacts.make import make_artifacts
 from ..cameras.spec import parse_spec
 from ..errors import InputError, OptionsInvalid, RefineError
@@ -76,8 +78,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         help="of the mirror plane along its normal, world units (default: the coarse mesh decides)",
     )  # fmt: skip
     parser.add_argument(
-        "--silhouette-threshold", type=float, default=0.25, metavar="T",
-        help="pixels above this share of full scale are the object (0.25)",
+        "--silhouette-threshold", type=float, default=SILHOUETTE_THRESHOLD, metavar="T",
+        help="pixels above this share of full scale are the object (%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--device", choices=["auto", "cpu", "cuda"], default="auto", help="auto: CUDA if present"

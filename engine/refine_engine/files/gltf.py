@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from refine_proto.formats import GLB_MAGIC
+
 from ..errors import FormatUnsupported, MeshInvalid
 
 Json = dict[str, Any]
-MAGIC = b"glTF"
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -148,12 +149,12 @@ class Document:
         if self.binary:
             body += _chunk(_BINARY_CHUNK, bytes(self.binary), b"\0")
         body += self.chunks
-        return struct.pack("<4sII", MAGIC, 2, 12 + len(body)) + body
+        return struct.pack("<4sII", GLB_MAGIC, 2, 12 + len(body)) + body
 
 
 def parse(data: bytes) -> Document:
     """Read a GLB, or a glTF whose buffers are `data:` URIs."""
-    chunks = list(_glb_chunks(data)) if data[:4] == MAGIC else [(_JSON_CHUNK, data)]
+    chunks = list(_glb_chunks(data)) if data[:4] == GLB_MAGIC else [(_JSON_CHUNK, data)]
     if not chunks or chunks[0][0] != _JSON_CHUNK:
         raise MeshInvalid("malformed GLB: expected its first chunk to be JSON")
     document = _parse_json(chunks[0][1])

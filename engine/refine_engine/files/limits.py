@@ -3,14 +3,18 @@ allocated."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
-from ..errors import MeshInvalid
+from refine_proto import formats
+
+from ..errors import FormatUnsupported, InputError, MeshInvalid
 
 
 @dataclass(frozen=True)
 class MeshLimits:
-    """The largest mesh that is read.
+    """The largest mesh that is read. How many bytes a file may have is up to whoever receives it.
 
     `max_vertices` counts the vertices that are optimised, after welding. A closed triangle mesh has about six
     corners per vertex, so a file in which every triangle has its own three vertices (STL, flat-shaded GLB)
@@ -19,17 +23,10 @@ class MeshLimits:
 
     max_vertices: int = 500_000
     max_faces: int = 2_000_000
-    max_bytes: int = 256 * 2**20
 
     @property
     def max_source_vertices(self) -> int:
         return 6 * self.max_vertices
-
-    def check_bytes(self, count: int) -> None:
-        if count == 0:
-            raise MeshInvalid("expected a mesh file, got an empty file (0 bytes)")
-        if count > self.max_bytes:
-            raise MeshInvalid(f"expected a mesh file of at most {self.max_bytes} bytes, got {count}")
 
     def check_source(self, vertices: int, faces: int) -> None:
         """Refuse what a header announces, or what the file turned out to hold before welding."""
@@ -49,6 +46,17 @@ class MeshLimits:
                 f"expected at most {self.max_vertices} vertices after welding, got {vertices}; "
                 "simplify the mesh first"
             )
+
+
+@contextmanager
+def refused_as(damaged: type[InputError]) -> Iterator[None]:
+    """Tell what `refine_proto.formats` refuses as FormatUnsupported or as `damaged`."""
+    try:
+        yield
+    except formats.Unsupported as error:
+        raise FormatUnsupported(str(error)) from None
+    except formats.Damaged as error:
+        raise damaged(str(error)) from None
 
 
 def one_line(error: Exception) -> str:

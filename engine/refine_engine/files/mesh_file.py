@@ -6,29 +6,27 @@ docs/files.md says what is read, what survives and what is refused.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import PurePath
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import FormatUnsupported, MeshInvalid
+from refine_proto.formats import MeshFormat, recognise_mesh
+
+from ..errors import MeshInvalid
 from ..values import Mesh
 from . import gltf
 from .gltf_edit import CONFIDENCE, move_vertices, overwritable_accessors
 from .gltf_geometry import SceneGeometry, read_scene
-from .limits import MeshLimits, one_line
+from .limits import MeshLimits, one_line, refused_as
 from .polygons import mesh_document, read_polygons
 from .weld import Floats, Weld, smooth_groups, vertex_normals, weld
 
 __all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "confidence_colours", "read_mesh"]
 DEFAULT_LIMITS = MeshLimits()
-_SUFFIXES = ("glb", "gltf", "obj", "ply", "stl", "off")
-_OFF_MAGIC = re.compile(rb"\s*(ST|C|N|4|n)*OFF[\s\d#]")
 
 
 @dataclass(frozen=True)
@@ -121,10 +119,14 @@ def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> Me
     The format is decided by the content where it can be, else by the suffix of `name`.
     Raises FormatUnsupported or MeshInvalid.
     """
-    limits.check_bytes(len(data))
-    kind = _sniff(data, name)
+    with refused_as(MeshInvalid):
+        kind = recognise_mesh(data, name)
     with _malformed(kind):
-        document = gltf.parse(data) if kind in ("glb", "gltf") else read_polygons(data, kind, limits)
+        document = (
+            gltf.parse(data)
+            if kind in (MeshFormat.GLB, MeshFormat.GLTF)
+            else read_polygons(data, kind, limits)
+        )
         scene = read_scene(document, limits)
         overwritable = overwritable_accessors(document, {placement.node for placement in scene.placements})
     positions = scene.world_positions()
@@ -153,29 +155,6 @@ def confidence_colours(confidence: Floats) -> Floats:
     """RGB (..., 3) in [0, 1]: red for confidence 0, over yellow, to green for 1."""
     c = np.clip(confidence, 0.0, 1.0)
     return np.stack([np.minimum(1.0, 2.0 - 2.0 * c), np.minimum(1.0, 2.0 * c), np.zeros_like(c)], -1)
-
-
-def _sniff(data: bytes, name: str) -> str:
-    suffix = PurePath(name).suffix.lower().removeprefix(".")
-    start = data[:1024].removeprefix(b"\xef\xbb\xbf")
-    if start.startswith(gltf.MAGIC):
-        return "glb"
-    if start.lstrip().startswith(b"{"):
-        return "gltf"
-    if re.match(rb"ply\s", start):
-        return "ply"
-    if _OFF_MAGIC.match(start):
-        return "off"
-    if suffix in ("obj", "stl", "off"):  # no magic, or (OFF) one that comments may precede
-        return suffix
-    if suffix in _SUFFIXES:
-        raise MeshInvalid(
-            f"expected a {suffix.upper()} file by the name {name!r:.60}, got {data[:8]!r} at its start"
-        )
-    raise FormatUnsupported(
-        f"expected a mesh file ({', '.join('.' + known for known in _SUFFIXES)}), "
-        f"got {name!r:.60} with unknown content"
-    )
 
 
 @contextmanager

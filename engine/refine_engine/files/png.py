@@ -11,26 +11,24 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from ..errors import FormatUnsupported, SilhouetteInvalid
-from .limits import one_line
+from refine_proto.formats import SILHOUETTE_THRESHOLD, png_size
 
-MAX_SIDE = 4096  # pixels
-DEFAULT_THRESHOLD = 0.25
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+from ..errors import SilhouetteInvalid
+from .limits import one_line, refused_as
 
 
-def read_silhouette(data: bytes, threshold: float = DEFAULT_THRESHOLD) -> Tensor:
+def read_silhouette(data: bytes, threshold: float = SILHOUETTE_THRESHOLD) -> Tensor:
     """The silhouette (H, W) float32, 1 where the image is above `threshold` (of full scale), else 0.
 
     The image's alpha channel decides if it has one, else its luminance. An alpha channel that is opaque
     everywhere says nothing about the object, and editors add one to a white-on-black mask when they save it,
-    so then too the luminance decides. The default threshold is below one half because published masks are
-    mostly alpha 127.
+    so then too the luminance decides.
 
-    PNG only, of any bit depth, at most 4096 pixels a side (checked before anything is decoded).
+    PNG only, of any bit depth, at most MAX_IMAGE_SIDE pixels a side (checked before anything is decoded).
     Raises FormatUnsupported or SilhouetteInvalid.
     """
-    _check_header(data)
+    with refused_as(SilhouetteInvalid):
+        png_size(data)
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
             level = _level(image)
@@ -50,22 +48,6 @@ def read_silhouette(data: bytes, threshold: float = DEFAULT_THRESHOLD) -> Tensor
             f"threshold {threshold:g}"
         )
     return torch.from_numpy(silhouette.astype(np.float32))
-
-
-def _check_header(data: bytes) -> None:
-    if not data:
-        raise SilhouetteInvalid("expected a PNG file, got an empty file (0 bytes)")
-    if not data.startswith(_SIGNATURE):
-        raise FormatUnsupported(
-            f"expected a silhouette as a PNG file, got {data[:8]!r} at its start; convert it to PNG"
-        )
-    if len(data) < 33 or data[12:16] != b"IHDR":
-        raise SilhouetteInvalid(f"truncated PNG file: no image header in its {len(data)} bytes")
-    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
-        raise SilhouetteInvalid(
-            f"expected an image of at most {MAX_SIDE} pixels a side, got {width}x{height}"
-        )
 
 
 def _level(image: Image.Image) -> NDArray[np.floating[Any]]:

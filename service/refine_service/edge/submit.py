@@ -20,12 +20,13 @@ from refine_jobs.blobs import Blob
 from refine_jobs.edge_store import Submitted
 from refine_jobs.record import Submission
 from refine_proto.errors import CameraInvalid, DeadlineExceeded, InvalidInput, PayloadTooLarge, Unavailable
+from refine_proto.formats import HEAD_BYTES
 from refine_proto.models import CameraSpec, FieldError, MatrixCamera, RefinementSpec
 
 from ..settings import ServiceSettings
 from .call import Call
 from .edge import Edge
-from .file_checks import HEAD_BYTES, recognise_mesh, silhouette_size
+from .file_checks import recognise_mesh, silhouette_size
 
 _MEMORY_BYTES = 2**20  # a larger file waits on disk
 _CHUNK_BYTES = 2**20

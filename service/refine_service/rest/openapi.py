@@ -10,8 +10,8 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
-from refine_jobs.keys import ARTIFACTS
 from refine_proto.errors import TABLE, error_class
+from refine_proto.formats import ARTIFACTS, SILHOUETTE_THRESHOLD, ArtifactName
 from refine_proto.models import Event, ProblemDetails, Refinement, RefinementRequest
 
 _REFERENCE = "#/components/schemas/{model}"
@@ -32,11 +32,16 @@ _OPTIONS = {"preset": "default", "seed": 0}
 _REFINEMENT = {
     "id": "0f8fad5bd9cb469fa165708677289503",
     "state": "succeeded",
-    "options": {**_OPTIONS, "symmetry_normal": [0, 0, 1], "silhouette_threshold": 0.25, "timeout_s": 3600},
+    "options": {
+        **_OPTIONS,
+        "symmetry_normal": [0, 0, 1],
+        "silhouette_threshold": SILHOUETTE_THRESHOLD,
+        "timeout_s": 3600,
+    },
     "artifacts": [
         {
-            "name": "refined.glb",
-            "media_type": "model/gltf-binary",
+            "name": ArtifactName.REFINED,
+            "media_type": ARTIFACTS[ArtifactName.REFINED],
             "size_bytes": 48_212,
             "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
             "url": "/v1/refinements/0f8fad5bd9cb469fa165708677289503/artifacts/refined.glb",

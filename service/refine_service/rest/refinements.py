@@ -10,6 +10,7 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
 from refine_proto.errors import Conflict, error_class
+from refine_proto.formats import ARTIFACTS, ArtifactName
 from refine_proto.models import Refinement, RefinementPage, State
 
 from ..edge.edge import COLLECTION, Edge, with_urls
@@ -21,7 +22,7 @@ from .depends import CallHere, EdgeHere, Found
 from .openapi import ACCEPTED, CREATE_BODY, FINISHED, problems
 
 MAX_WAIT_S = 60
-GLB = "model/gltf-binary"
+GLB = ARTIFACTS[ArtifactName.REFINED]
 _WAIT = re.compile(r"(?:^|[,;\s])wait\s*=\s*\"?(\d{1,9})", re.IGNORECASE)
 
 router = APIRouter(prefix=COLLECTION, tags=["refinements"])
@@ -67,7 +68,9 @@ async def _refined_mesh(
 ) -> Response:
     """The refined GLB itself; raises the refinement's error if there is none."""
     if refinement.state is State.SUCCEEDED:
-        response = await artifact_response(edge, request.headers, refinement, "refined.glb", whole=True)
+        response = await artifact_response(
+            edge, request.headers, refinement, ArtifactName.REFINED, whole=True
+        )
         response.headers.update(headers)
         return response
     if refinement.error is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_proto.models import LookAtCamera, MeshFormat, RefinementSpec
-from refine_worker.messages import Failed, Run, StageStarted
+from refine_worker.messages import Failed, Run, Stage, StageStarted
 from refine_worker.plan import SlotPlan
 from refine_worker.settings import WorkerSettings
 from refine_worker.slot.engine_process import EngineProcess, EngineStartFailed
@@ -54,3 +56,40 @@ def test_an_engine_that_takes_too_long_to_start_is_killed(tmp_path: Path) -> Non
     engine = EngineProcess(PLAN, WorkerSettings(start_timeout_s=0.01), str(tmp_path))
     with pytest.raises(EngineStartFailed, match=r"within 0\.01 s"):
         engine.prepare()
+
+
+def test_a_mesh_that_the_edge_let_in_is_read_whatever_its_size(tmp_path: Path) -> None:
+    """An operator may let in more than the default: the limit on bytes is the edge's alone."""
+    blobs = BlobStore(str(tmp_path))
+    sample = Path(__file__).parents[3] / "examples" / "samples" / "chair"
+    blobs.put(keys.input_blob("job", keys.MESH), padded_glb(257 * 2**20))
+    blobs.put(keys.input_blob("job", keys.SILHOUETTE), (sample / "silhouette.png").read_bytes())
+    spec = RefinementSpec.model_validate({"camera": json.loads((sample / "camera.json").read_text())})
+    engine = EngineProcess(PLAN, WorkerSettings(), str(tmp_path))
+    try:
+        engine.prepare()
+        engine.run(Run(job_id="job", attempt=1, spec=spec))
+        assert [engine.receive(60), engine.receive(60)] == [
+            StageStarted(stage=Stage.READ), StageStarted(stage=Stage.REFINE)
+        ]  # fmt: skip
+    finally:
+        engine.kill()
+
+
+def padded_glb(padding: int) -> bytes:
+    """A triangle, and so many bytes that belong to nothing."""
+    corners = struct.pack("<9f", -0.3, 0, 0, 0.3, 0, 0, 0, 0.4, 0)
+    document = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(corners)}],
+        "buffers": [{"byteLength": len(corners) + padding}],
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = [(b"JSON", text), (b"BIN\0", corners + bytes(padding))]
+    body = b"".join(struct.pack("<I4s", len(data), kind) + data for kind, data in chunks)
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body

@@ -15,6 +15,7 @@ from refine_jobs import keys
 from refine_jobs.record import decode_event
 from refine_jobs.redis_server import connect_for_rq
 from refine_jobs.slots import SlotState
+from refine_proto.formats import ARTIFACTS
 from refine_proto.models import EventType, State
 
 if TYPE_CHECKING:
@@ -44,9 +45,9 @@ def test_a_job_succeeds_with_all_artifacts(worker: Worker, workplace: Workplace)
     assert workplace.refining(job_id).slot == worker.slots()[0].name
     assert (worker.slots()[0].state, worker.slots()[0].job_id) == (SlotState.BUSY, job_id)
     job = assert_succeeds(workplace, job_id)
-    assert [artifact.name for artifact in job.artifacts] == list(keys.ARTIFACTS)
+    assert [artifact.name for artifact in job.artifacts] == list(ARTIFACTS)
     for artifact in job.artifacts:
-        assert artifact.media_type == keys.ARTIFACTS[artifact.name]
+        assert artifact.media_type == ARTIFACTS[artifact.name]
         stored = workplace.blobs.get(keys.artifact_blob(job_id, 1, artifact.name))
         assert artifact.size_bytes == len(stored)
     report = json.loads(workplace.blobs.get(keys.artifact_blob(job_id, 1, "report.json")))

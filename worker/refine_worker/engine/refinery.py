@@ -21,6 +21,7 @@ from refine_engine.request import Inputs, read_inputs
 from refine_engine.values import Mesh, Progress, Result, View
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
+from refine_proto.formats import ARTIFACTS
 from refine_proto.models import Artifact, RefinementSpec, SilhouetteIou
 from refine_proto.models import Progress as ProgressModel
 
@@ -92,7 +93,7 @@ class Refinery:
                 size_bytes=stored[name].size_bytes,
                 sha256=stored[name].sha256,
             )
-            for name, media_type in keys.ARTIFACTS.items()
+            for name, media_type in ARTIFACTS.items()
         )
 
 

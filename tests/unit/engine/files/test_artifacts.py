@@ -14,6 +14,7 @@ from refine_engine.artifacts.pictures import hard_render
 from refine_engine.files.mesh_file import read_mesh
 from refine_engine.method.config import RefineConfig
 from refine_engine.values import Camera, Mesh, Result, View
+from refine_proto.formats import ARTIFACTS
 
 WIDTH, HEIGHT = 120, 80
 
@@ -38,15 +39,7 @@ def artifacts(textured: bytes) -> dict[str, Any]:
 
 
 def test_names_are_the_contract(artifacts: dict[str, Any]) -> None:
-    names = [
-        "refined.glb",
-        "confidence.glb",
-        "confidence.png",
-        "confidence.npz",
-        "preview.png",
-        "report.json",
-    ]
-    assert set(names) <= set(artifacts)
+    assert [name for name in artifacts if name in ARTIFACTS] == list(ARTIFACTS)
     torch.testing.assert_close(
         read_mesh(artifacts["refined.glb"], "a.glb").mesh.vertices,
         artifacts["result"].mesh.vertices,

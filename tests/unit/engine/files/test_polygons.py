@@ -136,8 +136,6 @@ def test_counts_are_refused_before_they_are_read() -> None:
             read_mesh(data, name, MeshLimits(max_faces=10))
     with pytest.raises(MeshInvalid, match="at most 3 vertices after welding, got 4"):
         read_mesh(SQUARE + b"f 1 2 3 4\n", "a.obj", MeshLimits(max_vertices=3))
-    with pytest.raises(MeshInvalid, match="at most 10 bytes"):
-        read_mesh(SQUARE, "a.obj", MeshLimits(max_bytes=10))
 
 
 def test_every_good_sample_is_read_and_comes_back(shared_inputs: Callable[[str], list[Path]]) -> None:
