@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from pydantic import ValidationError
 
-from refine_proto.errors import InvalidInput, from_validation
+from refine_proto.errors import check_idempotency_key, from_validation
 from refine_proto.formats import format_of_name
 from refine_proto.models import CameraSpec, MeshFormat, RefinementOptions, RefinementSpec
 
@@ -64,12 +64,9 @@ def make_upload(
             {"camera": camera, "options": options or RefinementOptions(), "mesh_format": mesh_format}
         )
     except ValidationError as error:
-        raise from_validation([dict(line) for line in error.errors()]) from None
-    key = idempotency_key or str(uuid.uuid4())
-    if not (8 <= len(key) <= 255 and key.isascii() and key.isprintable()):
-        raise InvalidInput(
-            f"expected an idempotency key of 8 to 255 printable ASCII characters, got {key[:40]!r}"
-        )
+        raise from_validation(error.errors()) from None
+    key = str(uuid.uuid4()) if idempotency_key is None else idempotency_key
+    check_idempotency_key(key)
     return Upload(spec, mesh, silhouette, key)
 
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .models import FieldError, ProblemDetails
+from .strict import complaints, in_one_line, short
 
 
 @dataclass(frozen=True)
@@ -256,22 +257,26 @@ _REASON_OF_PART = {
     "mesh_format": FormatUnsupported,
     "silhouette": SilhouetteInvalid,
 }
-_UNION_TAGS = ("look_at", "matrix")  # pydantic puts the chosen member into the location; it is no field
 
 
 def from_validation(
     line_errors: Sequence[Mapping[str, Any]], *, under: Sequence[str | int] = ()
 ) -> InvalidInput:
-    """The error for pydantic's `error.errors()`; `under` is where the validated value sits in the request.
-
-    A location that begins with `body`, as FastAPI's do, loses it.
-    """
-    fields = []
-    for line in line_errors:
-        path = [*under, *line["loc"]]
-        path = [str(step) for step in (path[1:] if path[:1] == ["body"] else path) if step not in _UNION_TAGS]
-        pointer = "".join("/" + step.replace("~", "~0").replace("/", "~1") for step in path)
-        fields.append(FieldError(pointer=pointer, detail=line["msg"].removeprefix("Value error, ")))
-    parts = {field.pointer.split("/")[1] if field.pointer else "" for field in fields}
+    """The error for pydantic's `error.errors()`; `under` is where the validated value sits in the request."""
+    wrong = list(complaints(line_errors, under))
+    parts = {pointer.split("/")[1] if pointer else "" for pointer, _ in wrong}
     error = _REASON_OF_PART.get(parts.pop(), InvalidInput) if len(parts) == 1 else InvalidInput
-    return error("; ".join(f"{field.pointer or '/'}: {field.detail}" for field in fields), errors=fields)
+    fields = [FieldError(pointer=pointer, detail=sentence) for pointer, sentence in wrong]
+    return error(in_one_line(wrong), errors=fields)
+
+
+_MAX_KEY_LENGTH = 255
+
+
+def check_idempotency_key(key: str) -> None:
+    """Raise InvalidInput unless `key` can be an idempotency key."""
+    if not (0 < len(key) <= _MAX_KEY_LENGTH and key.isascii() and key.isprintable()):
+        raise InvalidInput(
+            f"expected an idempotency key of 1 to {_MAX_KEY_LENGTH} printable ASCII characters, "
+            f"got {short(key)}"
+        )

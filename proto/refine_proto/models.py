@@ -7,58 +7,23 @@ Conventions: world right-handed, Y up; lengths in world units of the mesh; times
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Iterable, Sequence
 from datetime import datetime
 from enum import StrEnum
-from typing import Annotated, Any, Literal, Self
+from typing import Any
 
-from pydantic import (
-    Base64Bytes,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, field_validator
 
+# "X as X": callers find all values of the contract here.
+from .cameras import CameraSpec as CameraSpec
+from .cameras import Intrinsics as Intrinsics
+from .cameras import LookAtCamera as LookAtCamera
+from .cameras import MatrixCamera as MatrixCamera
 from .formats import SILHOUETTE_THRESHOLD
-from .formats import MeshFormat as MeshFormat  # a value of the contract too
+from .formats import MeshFormat as MeshFormat
+from .strict import Input, Number, Positive
 
 # ---- what a caller sends ----
-
-
-class Input(BaseModel):
-    """Base of everything a caller sends: frozen, finite numbers, no unknown fields."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _name_the_nearest_field(cls, data: Any) -> Any:
-        unknown = [name for name in data if name not in cls.model_fields] if isinstance(data, dict) else []
-        if not unknown:
-            return data
-        raise ValidationError.from_exception_data(
-            cls.__name__,
-            [
-                InitErrorDetails(type=_unknown_field(n, cls.model_fields), loc=(n,), input=data[n])
-                for n in unknown
-            ],
-        )
-
-
-def _unknown_field(name: object, fields: Iterable[str]) -> PydanticCustomError:
-    near = difflib.get_close_matches(str(name), list(fields), n=1, cutoff=0.0)[0]
-    return PydanticCustomError(
-        "unknown_field",
-        "unknown field '{name}'; did you mean '{near}'? (valid: {valid})",
-        {"name": str(name)[:100], "near": near, "valid": ", ".join(fields)},
-    )
 
 
 class Preset(StrEnum):
@@ -77,116 +42,29 @@ class RefinementOptions(Input):
         None, ge=1, le=10_000, description="Optimisation steps; unset: the preset's."
     )
     seed: int = Field(0, ge=0, le=2**32 - 1, description="Same seed, same device: same result.")
-    symmetry_normal: tuple[float, float, float] = Field(
+    symmetry_normal: tuple[Number, Number, Number] = Field(
         (0.0, 0.0, 1.0), description="Normal of the object's mirror plane, world axes; any length but zero."
     )
-    symmetry_offset: float | None = Field(
+    symmetry_offset: Number | None = Field(
         None,
         description="Where the mirror plane cuts its normal, world units; unset: the coarse mesh decides.",
     )
-    silhouette_threshold: float = Field(
+    silhouette_threshold: Number = Field(
         SILHOUETTE_THRESHOLD,
         gt=0.0,
         lt=1.0,
         description="Pixels above this share of full scale are the object.",
     )
-    timeout_s: float | None = Field(
-        None, gt=0.0, description="Longest running time before DEADLINE_EXCEEDED; unset: the server's limit."
+    timeout_s: Positive | None = Field(
+        None, description="Longest running time before DEADLINE_EXCEEDED; unset: the server's limit."
     )
 
     @field_validator("symmetry_normal")
     @classmethod
     def _has_a_direction(cls, normal: tuple[float, float, float]) -> tuple[float, float, float]:
-        if math.hypot(*normal) < 1e-9:
-            raise ValueError("expected a normal with a length, got [0, 0, 0]")
+        if math.sqrt(sum(x * x for x in normal)) <= 1e-6:  # as in the engine's RefineConfig
+            raise ValueError(f"expected a normal with a length of more than 1e-6, got {list(normal)}")
         return normal
-
-
-def _four_rows(value: Any) -> Any:
-    flat = isinstance(value, (list, tuple)) and len(value) == 16
-    return [value[i : i + 4] for i in range(0, 16, 4)] if flat else value
-
-
-Row4 = tuple[float, float, float, float]
-Matrix4 = Annotated[tuple[Row4, Row4, Row4, Row4], BeforeValidator(_four_rows)]
-"""Four rows of four numbers, acting on column vectors; 16 numbers, row major, are accepted too."""
-
-
-class LookAtCamera(Input):
-    """A camera at distance * (cos e sin a, sin e, cos e cos a) that looks at the origin, up +Y."""
-
-    type: Literal["look_at"] = "look_at"
-    azimuth_degrees: float
-    elevation_degrees: float = Field(ge=-90.0, le=90.0)
-    distance: float = Field(gt=0.0, description="From the origin, world units.")
-    fov_y_degrees: float = Field(60.0, gt=0.0, lt=180.0)
-
-
-class Intrinsics(Input):
-    """Pixels of the given silhouette, centres at +0.5, origin top left; orthographic: fx, fy per unit."""
-
-    fx: float = Field(gt=0.0)
-    fy: float = Field(gt=0.0)
-    cx: float
-    cy: float
-    width: int | None = Field(None, ge=1, description="If given, that of the silhouette.")
-    height: int | None = Field(None, ge=1, description="If given, that of the silhouette.")
-
-
-class MatrixCamera(Input):
-    """A rigid camera matrix in one of its two directions, and intrinsics or a vertical field of view.
-
-    Camera axes by convention: opencv +X right, +Y down, +Z forward; opengl (Blender, glTF) +X right, +Y up,
-    -Z forward; pytorch3d +X left, +Y up, +Z forward.
-    """
-
-    type: Literal["matrix"] = "matrix"
-    convention: Literal["opencv", "opengl", "pytorch3d"]
-    world_to_camera: Matrix4 | None = None
-    camera_to_world: Matrix4 | None = None
-    intrinsics: Intrinsics | None = None
-    fov_y_degrees: float | None = Field(None, gt=0.0, lt=180.0)
-    projection: Literal["perspective", "orthographic"] = "perspective"
-
-    @field_validator("world_to_camera", "camera_to_world")
-    @classmethod
-    def _is_rigid(cls, matrix: Matrix4 | None) -> Matrix4 | None:
-        if matrix is not None:
-            _check_rigid(matrix)
-        return matrix
-
-    @model_validator(mode="after")
-    def _one_of_each(self) -> Self:
-        if (self.world_to_camera is None) == (self.camera_to_world is None):
-            raise ValueError("expected exactly one of world_to_camera and camera_to_world")
-        if (self.intrinsics is None) == (self.fov_y_degrees is None):
-            raise ValueError("expected exactly one of intrinsics and fov_y_degrees")
-        if self.projection == "orthographic" and self.intrinsics is None:
-            raise ValueError("expected intrinsics for an orthographic camera, got fov_y_degrees")
-        return self
-
-
-def _check_rigid(matrix: Matrix4) -> None:
-    """Raise ValueError unless `matrix` is a rotation and a translation."""
-    if not _close(matrix[3], (0.0, 0.0, 0.0, 1.0), 1e-6):
-        transposed = _close([row[3] for row in matrix], (0.0, 0.0, 0.0, 1.0), 1e-6)
-        hint = " (it is column major: transpose it)" if transposed else ""
-        raise ValueError(f"expected the last row 0 0 0 1, got {list(matrix[3])}{hint}")
-    rows = [row[:3] for row in matrix[:3]]
-    gram = [sum(x * y for x, y in zip(a, b, strict=True)) for a in rows for b in rows]
-    if not _close(gram, (1, 0, 0, 0, 1, 0, 0, 0, 1), 1e-3):
-        raise ValueError("expected an orthonormal rotation, got another 3x3 (a scale or a shear? remove it)")
-    (a, b, c), (d, e, f), (g, h, i) = rows
-    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:
-        raise ValueError("expected a right-handed matrix, got a mirrored one (determinant -1)")
-
-
-def _close(values: Sequence[float], wanted: Sequence[float], tolerance: float) -> bool:
-    return all(abs(value - goal) <= tolerance for value, goal in zip(values, wanted, strict=True))
-
-
-CameraSpec = Annotated[LookAtCamera | MatrixCamera, Field(discriminator="type")]
-"""The camera that saw the silhouette, tagged by `type`."""
 
 
 class RefinementSpec(Input):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from refine_proto.errors import CameraInvalid
+from pydantic import ValidationError
+
+from refine_proto.cameras import CAMERA_SPEC, CameraSpec
+from refine_proto.errors import from_validation
 from refine_proto.models import MeshFormat, Preset
 
 from .common import Parser, command, connect, make_parser
@@ -55,14 +57,11 @@ def submit_command(argv: Sequence[str]) -> None:
             raise
 
 
-def _read_camera(path: Path) -> dict[str, Any]:
+def _read_camera(path: Path) -> CameraSpec:
     try:
-        camera = json.loads(path.read_bytes())
-    except ValueError as error:
-        raise CameraInvalid(f"expected JSON in {path}: {error}") from error
-    if not isinstance(camera, dict):
-        raise CameraInvalid(f"expected a JSON object in {path}, got {type(camera).__name__}")
-    return camera
+        return CAMERA_SPEC.validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise from_validation(error.errors(), under=("camera",)) from None
 
 
 def _parser() -> Parser:

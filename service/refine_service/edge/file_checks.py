@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from refine_proto import formats
-from refine_proto.errors import FormatUnsupported, InvalidInput, MeshInvalid, SilhouetteInvalid
+from refine_proto.errors import CameraInvalid, FormatUnsupported, InvalidInput, MeshInvalid, SilhouetteInvalid
 from refine_proto.formats import MeshFormat
-from refine_proto.models import FieldError
+from refine_proto.models import CameraSpec, FieldError, MatrixCamera
 
 
 def recognise_mesh(head: bytes, filename: str | None, given: MeshFormat | None) -> MeshFormat:
@@ -26,6 +26,15 @@ def silhouette_size(head: bytes) -> tuple[int, int]:
         raise _of("silhouette", FormatUnsupported, str(error)) from None
     except formats.Damaged as error:
         raise _of("silhouette", SilhouetteInvalid, str(error)) from None
+
+
+def check_camera_size(camera: CameraSpec, width: int, height: int) -> None:
+    """Raise CameraInvalid if the camera says that it belongs to an image of another size."""
+    if isinstance(camera, MatrixCamera) and camera.intrinsics is not None:
+        try:
+            camera.intrinsics.check_size(width, height)
+        except ValueError as error:
+            raise _of("camera/intrinsics", CameraInvalid, str(error)) from None
 
 
 def _of(part: str, error: type[InvalidInput], detail: str) -> InvalidInput:

@@ -19,18 +19,17 @@ from refine_jobs import keys
 from refine_jobs.blobs import Blob
 from refine_jobs.edge_store import Submitted
 from refine_jobs.record import Submission
-from refine_proto.errors import CameraInvalid, DeadlineExceeded, InvalidInput, PayloadTooLarge, Unavailable
+from refine_proto.errors import DeadlineExceeded, PayloadTooLarge, Unavailable, check_idempotency_key
 from refine_proto.formats import HEAD_BYTES
-from refine_proto.models import CameraSpec, FieldError, MatrixCamera, RefinementSpec
+from refine_proto.models import FieldError, RefinementSpec
 
 from ..settings import ServiceSettings
 from .call import Call
 from .edge import Edge
-from .file_checks import recognise_mesh, silhouette_size
+from .file_checks import check_camera_size, recognise_mesh, silhouette_size
 
 _MEMORY_BYTES = 2**20  # a larger file waits on disk
 _CHUNK_BYTES = 2**20
-_MAX_KEY = 255
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,8 @@ def new_file() -> UploadFile:
 async def submit(edge: Edge, call: Call, upload: Upload, idempotency_key: str | None) -> Submitted:
     """Check, store and submit."""
     spec = edge.store.check_options(await _checked(upload, edge.settings))
-    _check_idempotency_key(idempotency_key)
+    if idempotency_key is not None:
+        check_idempotency_key(idempotency_key)
     call.job_id = await edge.store.begin_upload(call.owner)
     try:
         mesh = await _store(edge, keys.input_blob(call.job_id, keys.MESH), upload.mesh)
@@ -84,8 +84,7 @@ async def _checked(upload: Upload, settings: ServiceSettings) -> RefinementSpec:
     check_size("mesh", upload.mesh.size or 0, settings.max_mesh_bytes)
     check_size("silhouette", upload.silhouette.size or 0, settings.max_silhouette_bytes)
     mesh_format = recognise_mesh(await _head(upload.mesh), upload.mesh.filename, upload.spec.mesh_format)
-    size = silhouette_size(await _head(upload.silhouette))
-    _check_camera_size(upload.spec.camera, size)
+    check_camera_size(upload.spec.camera, *silhouette_size(await _head(upload.silhouette)))
     return upload.spec.model_copy(update={"mesh_format": mesh_format})
 
 
@@ -101,24 +100,6 @@ def took_too_long(settings: ServiceSettings) -> DeadlineExceeded:
     return DeadlineExceeded(
         f"expected the upload within {settings.upload_timeout_s:g} s, got only a part of it"
     )
-
-
-def _check_camera_size(camera: CameraSpec, size: tuple[int, int]) -> None:
-    intrinsics = camera.intrinsics if isinstance(camera, MatrixCamera) else None
-    if intrinsics is None:
-        return
-    for side, given, actual in zip(
-        ("width", "height"), (intrinsics.width, intrinsics.height), size, strict=True
-    ):
-        if given not in (None, actual):
-            detail = f"expected the silhouette's {side} of {actual} pixels, got {given}; scale the intrinsics"
-            pointer = f"/camera/intrinsics/{side}"
-            raise CameraInvalid(detail, errors=[FieldError(pointer=pointer, detail=detail)])
-
-
-def _check_idempotency_key(key: str | None) -> None:
-    if key is not None and not (0 < len(key) <= _MAX_KEY and key.isascii() and key.isprintable()):
-        raise InvalidInput(f"expected an idempotency key of 1 to {_MAX_KEY} printable ASCII characters")
 
 
 async def _head(file: UploadFile) -> bytes:

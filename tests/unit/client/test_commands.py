@@ -208,10 +208,10 @@ def test_download(tmp_path: Path, capsys: Output) -> None:
     [
         (["--preset", "best"], "INPUT_INVALID: argument --preset: invalid choice: 'best'"),
         (["--iterations", "0"], "OPTIONS_INVALID: /options/iterations: "),
-        (["--idempotency-key", "x"], "INPUT_INVALID: expected an idempotency key of 8 to 255"),
+        (["--idempotency-key", ""], "INPUT_INVALID: expected an idempotency key of 1 to 255"),
         (["--server", "here"], "INPUT_INVALID: expected a server like http://host:8000"),
         (["--camera", "no-such.json"], "INPUT_INVALID: no-such.json: No such file"),
-        (["--camera", "/dev/null"], "CAMERA_INVALID: expected JSON in /dev/null"),
+        (["--camera", "/dev/null"], "CAMERA_INVALID: /camera: expected JSON, got b''"),
         (["--output", "/dev/null"], "INPUT_INVALID: /dev/null: File exists"),
         (["--surprise"], "INPUT_INVALID: unrecognized arguments: --surprise; refine submit --help"),
     ],

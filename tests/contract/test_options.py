@@ -1,0 +1,58 @@
+"""What the contract lets in as options, the engine can do; what it refuses, the engine refuses."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from refine_engine.errors import OptionsInvalid
+from refine_engine.method.config import RefineConfig
+from refine_engine.method.presets import MAX_ITERATIONS, PRESETS, make_config
+from refine_proto.models import Preset, RefinementOptions
+
+
+def configured(options: RefinementOptions) -> RefineConfig:
+    return make_config(
+        options.preset, options.iterations, options.seed, options.symmetry_normal, options.symmetry_offset
+    )
+
+
+def test_presets_are_the_engines() -> None:
+    assert list(Preset) == list(PRESETS)
+
+
+@pytest.mark.parametrize("preset", Preset)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"iterations": iterations, "seed": seed, "symmetry_normal": normal, "symmetry_offset": offset}
+        for iterations, seed, normal, offset in itertools.product(
+            (None, 1, MAX_ITERATIONS), (0, 2**32 - 1), ([0, 0, 2e-6], [-9e29, 9e29, 9e29]), (None, -9e29)
+        )
+    ],
+)
+def test_the_engine_takes_what_the_contract_lets_in(preset: Preset, options: dict[str, Any]) -> None:
+    config = configured(RefinementOptions(preset=preset, **options))
+    assert config.iterations == options["iterations"] or options["iterations"] is None
+    assert config.symmetry_normal == tuple(options["symmetry_normal"])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"iterations": 0},
+        {"iterations": MAX_ITERATIONS + 1},
+        {"symmetry_normal": (0.0, 0.0, 0.0)},
+        {"symmetry_normal": (0.0, 1e-7, 0.0)},
+        {"symmetry_normal": (1e-6, 0.0, 0.0)},
+        {"symmetry_offset": float("inf")},
+    ],
+)
+def test_both_refuse_the_same(options: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        RefinementOptions.model_validate(options)
+    with pytest.raises(OptionsInvalid):
+        make_config(**options)
