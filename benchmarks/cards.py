@@ -24,7 +24,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from refine_engine import Cancelled, Mesh, RefineConfig, View, make_config, read_inputs, refine
+from refine_engine import Cancelled, Mesh, RefineConfig, View, make_config, read_camera, read_inputs, refine
 from refine_engine.kernels import image_symmetry, optical_depth, rasterize
 from refine_engine.kernels.graph import EAGER_RUNS, repeatable
 from refine_engine.method.loop import Fit
@@ -46,7 +46,7 @@ class Run:
 
 def load(sample: Path, device: torch.device) -> Case:
     """A sample's coarse mesh and silhouette, on the device."""
-    camera = json.loads((sample / "camera.json").read_text())
+    camera = read_camera((sample / "camera.json").read_bytes())
     mesh_bytes, image_bytes = (sample / "coarse.obj").read_bytes(), (sample / "silhouette.png").read_bytes()
     inputs = read_inputs(mesh_bytes, "coarse.obj", image_bytes, camera)
     mesh, view = inputs.mesh_file.mesh, inputs.view

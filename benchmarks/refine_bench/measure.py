@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from refine_engine.cameras.spec import parse_spec
+from refine_engine.cameras.spec import read_camera
 from refine_engine.files.mesh_file import read_mesh
 from refine_engine.kernels import optical_depth, oracle
 from refine_engine.method import losses
@@ -33,7 +33,9 @@ from refine_engine.values import Mesh, View
 def read_case(folder: Path) -> Inputs:
     """A folder with coarse.obj, silhouette.png and camera.json."""
     mesh, silhouette, camera = (folder / name for name in ("coarse.obj", "silhouette.png", "camera.json"))
-    return read_inputs(mesh.read_bytes(), mesh.name, silhouette.read_bytes(), parse_spec(camera.read_bytes()))
+    return read_inputs(
+        mesh.read_bytes(), mesh.name, silhouette.read_bytes(), read_camera(camera.read_bytes())
+    )
 
 
 def read_mesh_file(path: Path) -> Mesh:

@@ -11,7 +11,7 @@ from .files.png import read_silhouette
 from .method.config import RefineConfig
 from .method.loop import refine
 from .method.presets import make_config
-from .request import Inputs, read_inputs
+from .request import Inputs, read_inputs, read_view
 from .values import Camera, Mesh, Progress, Result, View
 
 __all__ = [
@@ -34,5 +34,6 @@ __all__ = [
     "read_inputs",
     "read_mesh",
     "read_silhouette",
+    "read_view",
     "refine",
 ]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
+from refine_proto.cameras import CameraSpec
 from refine_proto.formats import SILHOUETTE_THRESHOLD
 
 from .cameras.in_view import check_in_view
@@ -28,18 +28,23 @@ def read_inputs(
     mesh: bytes,
     mesh_name: str,
     silhouette: bytes,
-    camera: Mapping[str, object],
+    camera: CameraSpec,
     silhouette_threshold: float = SILHOUETTE_THRESHOLD,
     limits: MeshLimits = MeshLimits(),
 ) -> Inputs:
-    """Read a mesh file, a silhouette image and a camera spec (see `camera_spec`).
+    """Read a mesh file and a silhouette image, for a camera as `read_camera` gives it.
 
     `mesh_name` matters for its suffix where the bytes do not tell the format. Raises an InputError: the mesh,
     the silhouette or the camera is invalid, or the camera does not see the mesh.
     """
     mesh_file = read_mesh(mesh, mesh_name, limits)
-    coverage = read_silhouette(silhouette, silhouette_threshold)
-    height, width = coverage.shape
-    view = View(coverage, camera_from_spec(camera, width, height))
+    view = read_view(silhouette, camera, silhouette_threshold)
     warning = check_in_view(mesh_file.mesh, view, camera)
     return Inputs(mesh_file, view, (warning,) if warning else ())
+
+
+def read_view(silhouette: bytes, camera: CameraSpec, threshold: float = SILHOUETTE_THRESHOLD) -> View:
+    """A silhouette image and the camera that saw it; raises SilhouetteInvalid or CameraInvalid."""
+    coverage = read_silhouette(silhouette, threshold)
+    height, width = coverage.shape
+    return View(coverage, camera_from_spec(camera, width, height))

@@ -17,6 +17,7 @@ from torch import Tensor
 from .errors import CameraInvalid, MeshInvalid, SilhouetteInvalid
 
 Projection = Literal["perspective", "orthographic"]
+RIGID = 4e-3  # of R R^T - I: what is within 1e-3, as the contract asks, still is once transposed or inverted
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Camera:
         error = float(
             (rotation @ rotation.T - torch.eye(3, dtype=torch.float64, device=m.device)).abs().max()
         )
-        if error > 1e-3:
+        if error > RIGID:
             raise CameraInvalid(
                 f"expected an orthonormal rotation in world_to_camera, got one that is off by {error:.3g} "
                 "(a scale or a shear? remove it, or check row-major order)"
@@ -111,8 +112,13 @@ class Camera:
             forward[0] * right[1] - forward[1] * right[0],
         ]
         rows = [[*right, 0.0], [*down, 0.0], [*forward, distance], [0.0, 0.0, 0.0, 1.0]]
-        f = 0.5 * height / math.tan(math.radians(fov_y_degrees) / 2)
+        f = focal_length(fov_y_degrees, height)
         return Camera(torch.tensor(rows), f, f, width / 2, height / 2, width, height)
+
+
+def focal_length(fov_y_degrees: float, height: int) -> float:
+    """Pixels: of an image that is `height` pixels high and sees so much from top to bottom."""
+    return 0.5 * height / math.tan(math.radians(fov_y_degrees) / 2)
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import subprocess
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from refine_engine.cameras.spec import camera_from_spec
-from refine_engine.errors import CameraInvalid
 from refine_proto import models
 from refine_proto.convert import tagged_union, to_message, to_model
 from refine_proto.errors import from_validation
@@ -163,16 +159,6 @@ def test_a_spec_survives_the_wire(camera: dict[str, Any]) -> None:
     assert to_model(message, models.RefinementSpec) == spec
 
 
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_the_engine_reads_the_same_camera(camera: dict[str, Any]) -> None:
-    """As the user wrote it, and as the record carries it to the worker."""
-    spec = models.RefinementSpec.model_validate({"camera": camera})
-    written = camera_from_spec(camera, 64, 48)
-    carried = camera_from_spec(spec.camera.model_dump(mode="json", exclude_none=True), 64, 48)
-    assert torch.equal(written.world_to_camera, carried.world_to_camera)
-    assert replace(written, world_to_camera=carried.world_to_camera) == carried
-
-
 def test_unset_message_fields_take_the_models_defaults() -> None:
     message = pb.RefinementSpec(camera=pb.CameraSpec(look_at=pb.LookAtCamera(distance=1.9)))
     spec = to_model(message, models.RefinementSpec)
@@ -275,9 +261,6 @@ def test_a_bad_spec_is_named(part: str, value: Any, reason: str, pointer: str, s
     error = from_validation(caught.value.errors())
     assert (error.reason, error.errors[0].pointer) == (reason, pointer)
     assert says in error.errors[0].detail
-    if part == "camera":  # and so does the engine
-        with pytest.raises(CameraInvalid):
-            camera_from_spec(value, 64, 48)
 
 
 def test_errors_in_several_parts_are_all_listed() -> None:

@@ -16,7 +16,7 @@ from sample import CAMERA, MESH, OPTIONS, SILHOUETTE
 from serve_process import Served
 
 from refine_client import AsyncRefineClient, RefineClient
-from refine_engine import read_inputs, read_mesh
+from refine_engine import read_camera, read_inputs, read_mesh
 from refine_engine.cameras.seen import silhouette_iou
 from refine_proto.models import Event, EventType, Refinement, State
 
@@ -118,7 +118,7 @@ def test_the_record_and_the_bytes_are_the_same(face: str, outcomes: Mapping[str,
 
 def test_the_refined_mesh_is_a_better_one(outcomes: Mapping[str, Outcome]) -> None:
     outcome = outcomes[FACES[0]]
-    inputs = read_inputs(MESH.read_bytes(), MESH.name, SILHOUETTE.read_bytes(), CAMERA)
+    inputs = read_inputs(MESH.read_bytes(), MESH.name, SILHOUETTE.read_bytes(), read_camera(CAMERA))
     coarse = inputs.mesh_file.mesh
     refined = read_mesh(outcome.files["refined.glb"].read_bytes(), "refined.glb").mesh
     assert torch.equal(refined.faces, coarse.faces)

@@ -7,7 +7,7 @@ import pytest
 import torch
 import trimesh
 
-from refine_engine.cameras.spec import parse_spec
+from refine_engine.cameras.spec import read_camera
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.loop import refine
 from refine_engine.request import read_inputs
@@ -29,7 +29,7 @@ def chamfer_to(truth: trimesh.Trimesh, mesh: Mesh) -> float:
 @pytest.mark.parametrize("name", ["airplane", "table"])
 def test_fast_preset_improves_a_sample(name: str) -> None:
     folder = SAMPLES / name
-    camera = parse_spec((folder / "camera.json").read_bytes())
+    camera = read_camera((folder / "camera.json").read_bytes())
     inputs = read_inputs(
         (folder / "coarse.obj").read_bytes(), "coarse.obj", (folder / "silhouette.png").read_bytes(), camera
     )

@@ -12,8 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from refine_engine.cameras.spec import read_camera
-from refine_engine.files.png import read_silhouette
-from refine_engine.values import View
+from refine_engine.request import read_view
 from refine_proto.formats import MESH_SUFFIXES
 
 from ..cases import (
@@ -42,15 +41,14 @@ def folder_cases(root: Path) -> list[Case]:
 
 
 def _load(folder: Path) -> Scene:
-    silhouette = read_silhouette(read_bytes(folder / "silhouette.png"))
-    height, width = silhouette.shape
-    camera = read_camera(read_bytes(folder / "camera.json"), width, height)
+    camera = read_camera(read_bytes(folder / "camera.json"))
+    view = read_view(read_bytes(folder / "silhouette.png"), camera)
     coarse, ground_truth = _mesh(folder, "coarse"), _mesh(folder, "gt")
     if coarse is None:
         raise CaseUnavailable(f"expected {folder / 'coarse.obj'} (or {', '.join(MESH_SUFFIXES)}), got none")
     return Scene(
         read_mesh_file(coarse),
-        View(silhouette, camera),
+        view,
         read_mesh_file(ground_truth) if ground_truth else None,
     )
 

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from refine_engine.cameras.spec import camera_from_spec
-from refine_engine.files.png import read_silhouette
-from refine_engine.values import View
+from refine_engine.cameras.spec import read_camera
+from refine_engine.request import read_view
 
 from ..cases import Case, CaseUnavailable, Scene, SetInvalid, existing_folder, read_bytes, read_mesh_file
 from ..coarse_files import CoarseFolder
@@ -78,9 +77,9 @@ class Odds:
             raise CaseUnavailable(
                 f"expected a camera for {image.stem} in {self.root / 'cameras.json'}, got none"
             )
-        silhouette = read_silhouette(read_bytes(image))
-        height, width = silhouette.shape
-        camera = camera_from_spec(spec, width, height)
+        view = read_view(read_bytes(image), read_camera(spec))
         ground_truth = read_mesh_file(model)
-        coarse = self.coarse.load(IMAGE.sub(r"\g<domain>", image.stem), image.stem, "", camera, ground_truth)
-        return Scene(coarse, View(silhouette, camera), ground_truth)
+        coarse = self.coarse.load(
+            IMAGE.sub(r"\g<domain>", image.stem), image.stem, "", view.camera, ground_truth
+        )
+        return Scene(coarse, view, ground_truth)

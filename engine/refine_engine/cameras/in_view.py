@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from refine_proto.cameras import CameraSpec
+
 from ..errors import ObjectOutOfView
 from ..values import Camera, Mesh, View
 from .seen import seen_by
-from .spec import other_conventions
+from .spec import other_readings
 
 LONGEST_SIDE = 224  # of the images compared, pixels
 SUSPICIOUS_IOU = 0.1  # a coarse mesh seen by its true camera overlaps more than this
 CONVINCING_IOU = 0.5  # and by a camera that is only roughly right less than this
 
 
-def check_in_view(mesh: Mesh, view: View, spec: Mapping[str, object]) -> str | None:
+def check_in_view(mesh: Mesh, view: View, spec: CameraSpec) -> str | None:
     """A warning when `spec`, from which `view.camera` was read, looks as if written in another convention.
 
     Compares the hard render of the mesh with the silhouette by their 2D IoU. Raises ObjectOutOfView when the
@@ -30,7 +32,7 @@ def check_in_view(mesh: Mesh, view: View, spec: Mapping[str, object]) -> str | N
     iou = float(_iou(rendered, silhouette))
     if iou >= SUSPICIOUS_IOU:
         return None
-    others = other_conventions(spec, view.camera.width, view.camera.height)
+    others = other_readings(spec, view.camera)
     scores = _iou(_covered(mesh, list(others.values()), silhouette), silhouette).tolist()
     best, best_iou = max(zip(others, scores, strict=True), key=lambda scored: scored[1])
     hint = f"; did you mean {best}? it gives a 2D IoU of {best_iou:.2f}" if best_iou > CONVINCING_IOU else ""

@@ -120,12 +120,9 @@ def _read_mesh(path: Path) -> Mesh:
 
 def _read_view(camera: Path, silhouette: Path) -> View:
     from ..cameras.spec import read_camera
-    from ..files.png import read_silhouette
-    from ..values import View
+    from ..request import read_view
 
-    image = read_silhouette(silhouette.read_bytes())
-    height, width = image.shape
-    return View(image, read_camera(camera.read_bytes(), width, height))
+    return read_view(silhouette.read_bytes(), read_camera(camera.read_bytes()))
 
 
 def _table(scores: Mapping[str, Scores]) -> list[str]:

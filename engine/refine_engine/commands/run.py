@@ -17,7 +17,7 @@ import torch
 from refine_proto.formats import SILHOUETTE_THRESHOLD
 
 from ..artifacts.make import make_artifacts
-from ..cameras.spec import parse_spec
+from ..cameras.spec import read_camera
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..method.config import RefineConfig
 from ..method.loop import refine
@@ -108,7 +108,7 @@ def _run(options: argparse.Namespace) -> None:
         _read(options.mesh),
         options.mesh.name,
         _read(options.silhouette),
-        parse_spec(_read(options.camera)),
+        read_camera(_read(options.camera)),
         options.silhouette_threshold,
     )
     display = choose_display(options.json)

@@ -20,7 +20,7 @@ from refine_bench import baselines
 from refine_bench.cases import Case, Scene, SetInvalid, mesh_of
 from refine_bench.methods import WITHOUT, ablation, applies, make_method
 from refine_bench.remote import ServerMethod
-from refine_engine import RefineConfig, make_artifacts, read_inputs
+from refine_engine import RefineConfig, make_artifacts, read_camera, read_inputs
 from refine_engine.cameras.seen import hard_silhouette, silhouette_iou
 from refine_engine.method.config import Stage
 from refine_engine.method.loop import refine
@@ -142,7 +142,7 @@ class InProcess:
         options: Mapping[str, Any],
     ) -> Answer:
         json.dumps([camera, options])  # what is sent is JSON
-        inputs = read_inputs(mesh, "mesh", silhouette, camera)
+        inputs = read_inputs(mesh, "mesh", silhouette, read_camera(camera))
         config = replace(SHORT, seed=options["seed"], symmetry_normal=tuple(options["symmetry_normal"]))
         result = refine(inputs.mesh_file.mesh, [inputs.view], config)
         artifacts = make_artifacts(inputs.mesh_file, inputs.view, result, config)

@@ -103,7 +103,7 @@ def read_files(mesh: bytes, silhouette: bytes, spec: RefinementSpec) -> Inputs:
         mesh,
         f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh",
         silhouette,
-        spec.camera.model_dump(mode="json", exclude_none=True),
+        spec.camera,
         spec.options.silhouette_threshold,
     )
 

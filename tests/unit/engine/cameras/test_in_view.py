@@ -1,11 +1,13 @@
 """The check that the camera sees the object, on a lopsided box and its own picture."""
 
+from collections.abc import Mapping
+
 import pytest
 import torch
 
 from refine_engine.cameras.in_view import check_in_view
 from refine_engine.cameras.seen import hard_silhouette
-from refine_engine.cameras.spec import AXES, camera_from_spec
+from refine_engine.cameras.spec import AXES, camera_from_spec, read_camera
 from refine_engine.errors import ObjectOutOfView
 from refine_engine.values import Camera, Mesh, View
 
@@ -21,6 +23,10 @@ def box() -> Mesh:
     return Mesh(torch.tensor(corners), torch.tensor(faces))
 
 
+def camera_of(spec: Mapping[str, object], width: int = WIDTH, height: int = HEIGHT) -> Camera:
+    return camera_from_spec(read_camera(spec), width, height)
+
+
 def picture(camera: Camera) -> torch.Tensor:
     return hard_silhouette(box(), camera).float()
 
@@ -32,26 +38,26 @@ def opengl_camera_to_world(camera: Camera) -> list[list[float]]:
 
 
 def test_the_true_camera_is_fine() -> None:
-    camera = camera_from_spec(LOOK_AT, WIDTH, HEIGHT)
-    assert check_in_view(box(), View(picture(camera), camera), LOOK_AT) is None
+    camera = camera_of(LOOK_AT)
+    assert check_in_view(box(), View(picture(camera), camera), read_camera(LOOK_AT)) is None
 
 
 def test_a_large_image_is_judged_the_same() -> None:
-    camera = camera_from_spec(LOOK_AT, 960, 640)
-    assert check_in_view(box(), View(picture(camera), camera), LOOK_AT) is None
+    camera = camera_of(LOOK_AT, 960, 640)
+    assert check_in_view(box(), View(picture(camera), camera), read_camera(LOOK_AT)) is None
 
 
 def test_behind_the_camera_names_the_convention_that_fits() -> None:
-    true = camera_from_spec(LOOK_AT, WIDTH, HEIGHT)
+    true = camera_of(LOOK_AT)
     spec = {
         "type": "matrix",
         "convention": "opencv",
         "camera_to_world": opengl_camera_to_world(true),
         "fov_y_degrees": 60,
     }
-    view = View(picture(true), camera_from_spec(spec, WIDTH, HEIGHT))
+    view = View(picture(true), camera_of(spec))
     with pytest.raises(ObjectOutOfView) as error:
-        check_in_view(box(), view, spec)
+        check_in_view(box(), view, read_camera(spec))
     assert str(error.value) == (
         "expected the object in the image, got one that is entirely behind the camera; "
         "did you mean convention opengl, camera_to_world? it gives a 2D IoU of 1.00"
@@ -59,7 +65,7 @@ def test_behind_the_camera_names_the_convention_that_fits() -> None:
 
 
 def test_outside_the_image_without_a_better_reading() -> None:
-    true = camera_from_spec(LOOK_AT, WIDTH, HEIGHT)
+    true = camera_of(LOOK_AT)
     intrinsics = {"fx": 1000, "fy": 1000, "cx": -5000, "cy": 32}
     spec = {
         "type": "matrix",
@@ -67,15 +73,15 @@ def test_outside_the_image_without_a_better_reading() -> None:
         "camera_to_world": opengl_camera_to_world(true),
         "intrinsics": intrinsics,
     }
-    view = View(picture(true), camera_from_spec(spec, WIDTH, HEIGHT))
+    view = View(picture(true), camera_of(spec))
     with pytest.raises(ObjectOutOfView) as error:
-        check_in_view(box(), view, spec)
+        check_in_view(box(), view, read_camera(spec))
     assert str(error.value) == "expected the object in the image, got one that lies outside the 96x64 pixels"
 
 
 def test_in_the_image_but_in_the_wrong_place_is_a_warning() -> None:
-    true = camera_from_spec({**LOOK_AT, "azimuth_degrees": -60}, WIDTH, HEIGHT)
-    view = View(picture(true), camera_from_spec(LOOK_AT, WIDTH, HEIGHT))
-    warning = check_in_view(box(), view, LOOK_AT)
+    true = camera_of({**LOOK_AT, "azimuth_degrees": -60})
+    view = View(picture(true), camera_of(LOOK_AT))
+    warning = check_in_view(box(), view, read_camera(LOOK_AT))
     assert warning is not None
     assert "did you mean azimuth_degrees negated? it gives a 2D IoU of 1.00" in warning
