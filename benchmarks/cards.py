@@ -49,10 +49,7 @@ def load(sample: Path, device: torch.device) -> Case:
     camera = read_camera((sample / "camera.json").read_bytes())
     mesh_bytes, image_bytes = (sample / "coarse.obj").read_bytes(), (sample / "silhouette.png").read_bytes()
     inputs = read_inputs(mesh_bytes, "coarse.obj", image_bytes, camera)
-    mesh, view = inputs.mesh_file.mesh, inputs.view
-    return Mesh(mesh.vertices.to(device), mesh.faces.to(device)), [
-        View(view.silhouette.to(device), view.camera)
-    ]
+    return inputs.mesh_file.mesh.to(device), [view.to(device) for view in inputs.views]
 
 
 def wait_for(device: torch.device) -> None:

@@ -78,7 +78,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
 def speed(options: argparse.Namespace) -> None:
     """The renderer, the stages of an iteration, another version, and whole runs."""
     inputs = measure.read_case(options.case)
-    mesh, view = inputs.mesh_file.mesh, inputs.view
+    mesh, view = inputs.mesh_file.mesh, inputs.views[0]
     rate = measure.peak_flop_per_second() / 1e9
     print(f"{options.case.name}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces. ", end="")
     print(f"Matrix products reach {rate:.0f} GFLOP/s on one thread.\n")

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from refine_engine.cameras.seen import silhouette_iou
+from refine_engine.cameras.seen import mean_silhouette_iou
 from refine_engine.method.config import RefineConfig
-from refine_engine.method.loop import refine
 from refine_engine.scores.scores import (
     GROUND_TRUTH_SEED,
     SURFACE_POINTS,
@@ -52,7 +51,7 @@ def refine_case(case: Path, config: RefineConfig, output: Path) -> None:
     if target.exists():
         return
     inputs = read_case(case)
-    result = refine(inputs.mesh_file.mesh, [inputs.view], config)
+    result = inputs.refine(config)
     output.mkdir(parents=True, exist_ok=True)
     unfinished = target.with_suffix(".part")
     unfinished.write_bytes(inputs.mesh_file.with_vertices(result.mesh.vertices, result.confidence))
@@ -63,7 +62,7 @@ def score_case(case: Path, refined: Path) -> Score:
     """`refined` and the coarse mesh against the ground truth, in its normalisation ("shared")."""
     inputs = read_case(case)
     meshes = inputs.mesh_file.mesh, read_mesh_file(refined)
-    before, after = (silhouette_iou(mesh, inputs.view) for mesh in meshes)
+    before, after = (mean_silhouette_iou(mesh, inputs.views) for mesh in meshes)
     truth = case / "gt.obj"
     if not truth.exists():
         return Score(case.name, (before, after), None, None)

@@ -1,6 +1,6 @@
 """REFINE: test-time refinement of a coarse mesh from its silhouette and camera (arXiv 2108.09911).
 
-`refine` is the method, on tensors; `read_inputs` and `make_artifacts` are the way from files and back.
+`refine` is the method, on tensors. From files and back: `read_inputs`, `Inputs.refine`, `make_artifacts`.
 """
 
 from .artifacts.make import make_artifacts

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
 
 from refine_proto.cameras import CameraSpec
 from refine_proto.formats import SILHOUETTE_THRESHOLD
@@ -12,16 +15,30 @@ from .cameras.spec import camera_from_spec
 from .files.limits import MeshLimits
 from .files.mesh_file import MeshFile, read_mesh
 from .files.png import read_silhouette
-from .values import View
+from .method.config import RefineConfig
+from .method.loop import refine
+from .values import Progress, Result, View
 
 
 @dataclass(frozen=True)
 class Inputs:
     """One request, read and checked."""
 
-    mesh_file: MeshFile  # with warnings of its own
-    view: View
-    warnings: tuple[str, ...]  # about the mesh, the silhouette and the camera together
+    mesh_file: MeshFile
+    views: tuple[View, ...]  # at least one
+    warnings: tuple[str, ...]  # about the mesh, the silhouettes and the cameras
+
+    def refine(
+        self,
+        config: RefineConfig,
+        device: torch.device | str = "cpu",
+        report: Callable[[Progress], None] | None = None,
+        cancelled: Callable[[], bool] | None = None,
+    ) -> Result:
+        """`refine` on `device`; the result lies there and carries these warnings before its own."""
+        mesh, views = self.mesh_file.mesh.to(device), [view.to(device) for view in self.views]
+        result = refine(mesh, views, config, report, cancelled)
+        return replace(result, warnings=(*self.warnings, *result.warnings))
 
 
 def read_inputs(
@@ -39,8 +56,8 @@ def read_inputs(
     """
     mesh_file = read_mesh(mesh, mesh_name, limits)
     view = read_view(silhouette, camera, silhouette_threshold)
-    warning = check_in_view(mesh_file.mesh, view, camera)
-    return Inputs(mesh_file, view, (warning,) if warning else ())
+    doubt = check_in_view(mesh_file.mesh, view, camera)
+    return Inputs(mesh_file, (view,), (*mesh_file.warnings, *([doubt] if doubt else [])))
 
 
 def read_view(silhouette: bytes, camera: CameraSpec, threshold: float = SILHOUETTE_THRESHOLD) -> View:

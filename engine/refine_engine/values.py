@@ -45,6 +45,10 @@ class Mesh:
         if float((used.amax(0) - used.amin(0)).max()) <= 0.0:
             raise MeshInvalid("expected an object with a size, got one whose vertices all coincide")
 
+    def to(self, device: torch.device | str) -> Mesh:
+        """This mesh on a device."""
+        return Mesh(self.vertices.to(device), self.faces.to(device))
+
 
 def _bad_rows(vertices: Tensor) -> str:
     rows = (~torch.isfinite(vertices)).any(1).nonzero()[:, 0].tolist()
@@ -144,6 +148,10 @@ class View:
             raise SilhouetteInvalid(
                 "expected background around the object, got a silhouette that is all object"
             )
+
+    def to(self, device: torch.device | str) -> View:
+        """This view with its silhouette on a device; a camera's few numbers follow when they are used."""
+        return View(self.silhouette.to(device), self.camera)
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,9 @@ import pytest
 from pydantic import ValidationError
 
 from refine_engine.errors import OptionsInvalid
-from refine_engine.method.config import RefineConfig
 from refine_engine.method.presets import MAX_ITERATIONS, PRESETS, make_config
 from refine_proto.models import Preset, RefinementOptions
-
-
-def configured(options: RefinementOptions) -> RefineConfig:
-    return make_config(
-        options.preset, options.iterations, options.seed, options.symmetry_normal, options.symmetry_offset
-    )
+from refine_worker.engine.refinery import config_of
 
 
 def test_presets_are_the_engines() -> None:
@@ -35,7 +29,7 @@ def test_presets_are_the_engines() -> None:
     ],
 )
 def test_the_engine_takes_what_the_contract_lets_in(preset: Preset, options: dict[str, Any]) -> None:
-    config = configured(RefinementOptions(preset=preset, **options))
+    config = config_of(RefinementOptions(preset=preset, **options))
     assert config.iterations == options["iterations"] or options["iterations"] is None
     assert config.symmetry_normal == tuple(options["symmetry_normal"])
 

@@ -122,7 +122,7 @@ def test_the_refined_mesh_is_a_better_one(outcomes: Mapping[str, Outcome]) -> No
     coarse = inputs.mesh_file.mesh
     refined = read_mesh(outcome.files["refined.glb"].read_bytes(), "refined.glb").mesh
     assert torch.equal(refined.faces, coarse.faces)
-    before, after = (silhouette_iou(mesh, inputs.view) for mesh in (coarse, refined))
+    before, after = (silhouette_iou(mesh, inputs.views[0]) for mesh in (coarse, refined))
     assert after > before + 0.02
     told = outcome.refinement.silhouette_iou
     assert told is not None

@@ -15,6 +15,7 @@ from PIL import Image
 
 from refine_engine.commands import run
 from refine_engine.files.mesh_file import read_mesh
+from refine_engine.request import Inputs
 
 ARTIFACTS = [
     "confidence.glb",
@@ -239,7 +240,7 @@ def test_a_bug_is_one_line_too(
     def broken(*_: object) -> NoReturn:
         raise ZeroDivisionError("nothing to\ndivide by")
 
-    monkeypatch.setattr(run, "refine", broken)
+    monkeypatch.setattr(Inputs, "refine", broken)
     assert run.run_command(arguments(inputs)) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: INTERNAL: ZeroDivisionError: nothing to divide by (test_run_command.py:")
@@ -251,7 +252,7 @@ def test_an_interrupt_leaves_nothing(inputs: Path, monkeypatch: pytest.MonkeyPat
         raise KeyboardInterrupt
 
     before = files(inputs)
-    monkeypatch.setattr(run, "refine", interrupted)
+    monkeypatch.setattr(Inputs, "refine", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run.run_command(arguments(inputs))
     assert files(inputs) == before

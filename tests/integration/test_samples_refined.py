@@ -9,7 +9,6 @@ import trimesh
 
 from refine_engine.cameras.spec import read_camera
 from refine_engine.method.config import RefineConfig
-from refine_engine.method.loop import refine
 from refine_engine.request import read_inputs
 from refine_engine.scores.scores import chamfer_l2, nearest_distances, sample_surface
 from refine_engine.values import Mesh
@@ -34,7 +33,7 @@ def test_fast_preset_improves_a_sample(name: str) -> None:
         (folder / "coarse.obj").read_bytes(), "coarse.obj", (folder / "silhouette.png").read_bytes(), camera
     )
     truth = trimesh.load_mesh(folder / "gt.obj", process=False)
-    result = refine(inputs.mesh_file.mesh, [inputs.view], RefineConfig.fast())
+    result = inputs.refine(RefineConfig.fast())
     before, after = (chamfer_to(truth, mesh) for mesh in (inputs.mesh_file.mesh, result.mesh))
     print(
         f"{name}: Chamfer-l2 {before:.2f} -> {after:.2f}, "

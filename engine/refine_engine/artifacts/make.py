@@ -19,22 +19,24 @@ from ..files.mesh_file import MeshFile
 from ..kernels import interpolate, rasterize
 from ..method.config import RefineConfig
 from ..method.views import Frame, SymmetryViews
-from ..values import Mesh, Result, View
+from ..request import Inputs
+from ..values import Mesh, Result
 from .pictures import draw_confidence, draw_preview
 
 _VERSIONED = ("refine-mesh", "torch", "numpy", "scipy", "numba", "trimesh", "pillow")
 
 
-def make_artifacts(mesh_file: MeshFile, view: View, result: Result, config: RefineConfig) -> dict[str, bytes]:
-    """All artifacts of one refinement of `mesh_file.mesh` against `view`.
+def make_artifacts(inputs: Inputs, result: Result, config: RefineConfig) -> dict[str, bytes]:
+    """All artifacts of one refinement: `result` is that of `inputs` under `config`.
 
     refined.glb       the input file with moved vertices and `_SYMMETRY_CONFIDENCE`
     confidence.glb    the welded mesh coloured by confidence, red low, green high
-    confidence.png    the confidence as the input camera sees it
+    confidence.png    the confidence as the first input camera sees it
     confidence.npz    the confidence per vertex and as maps of all symmetry views, see `confidence_arrays`
-    preview.png       before and after, for people
+    preview.png       before and after from that camera, for people
     report.json       2D IoU, loss curve, effective configuration, seconds, device, versions, warnings
     """
+    mesh_file, view = inputs.mesh_file, inputs.views[0]
     vertices, confidence = result.mesh.vertices, result.confidence
     arrays = io.BytesIO()
     np.savez_compressed(arrays, **confidence_arrays(mesh_file, result, config))
@@ -106,7 +108,7 @@ def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> di
         "device": torch.cuda.get_device_name(device)
         if device.type == "cuda"
         else f"cpu ({platform.machine()})",
-        "warnings": [*mesh_file.warnings, *result.warnings],
+        "warnings": list(result.warnings),
         "config": asdict(config),
         "versions": {"python": platform.python_version(), **_versions()},
         "loss_curve": {name: [float(x) for x in curve] for name, curve in result.loss_curve.items()},

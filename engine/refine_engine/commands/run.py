@@ -8,7 +8,6 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -20,10 +19,9 @@ from ..artifacts.make import make_artifacts
 from ..cameras.spec import read_camera
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..method.config import RefineConfig
-from ..method.loop import refine
 from ..method.presets import PRESETS, make_config
 from ..request import Inputs, read_inputs
-from ..values import Mesh, Result, View
+from ..values import Result
 from .display import Display, choose_display
 
 
@@ -113,24 +111,18 @@ def _run(options: argparse.Namespace) -> None:
     )
     display = choose_display(options.json)
     result = _refine(inputs, config, device, display)
-    artifacts = make_artifacts(inputs.mesh_file, inputs.view, result, config)
+    artifacts = make_artifacts(inputs, result, config)
     display.finish(result, _publish(artifacts, options.output))
 
 
 def _refine(inputs: Inputs, config: RefineConfig, device: torch.device, display: Display) -> Result:
-    mesh, view = inputs.mesh_file.mesh, inputs.view
     with display:
-        for warning in (*inputs.mesh_file.warnings, *inputs.warnings):
+        for warning in inputs.warnings:  # now: they may be a reason to stop
             display.warn(warning)
-        result = refine(
-            Mesh(mesh.vertices.to(device), mesh.faces.to(device)),
-            [View(view.silhouette.to(device), view.camera)],
-            config,
-            display.report,
-        )
-        for warning in result.warnings:
+        result = inputs.refine(config, device, display.report)
+        for warning in result.warnings[len(inputs.warnings) :]:
             display.warn(warning)
-    return replace(result, warnings=(*inputs.warnings, *result.warnings))
+    return result
 
 
 def _cores() -> int:

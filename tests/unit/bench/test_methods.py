@@ -23,7 +23,6 @@ from refine_bench.remote import ServerMethod
 from refine_engine import RefineConfig, make_artifacts, read_camera, read_inputs
 from refine_engine.cameras.seen import hard_silhouette, silhouette_iou
 from refine_engine.method.config import Stage
-from refine_engine.method.loop import refine
 from refine_engine.method.topology import Topology
 from refine_engine.values import Camera, Mesh, View
 
@@ -144,8 +143,7 @@ class InProcess:
         json.dumps([camera, options])  # what is sent is JSON
         inputs = read_inputs(mesh, "mesh", silhouette, read_camera(camera))
         config = replace(SHORT, seed=options["seed"], symmetry_normal=tuple(options["symmetry_normal"]))
-        result = refine(inputs.mesh_file.mesh, [inputs.view], config)
-        artifacts = make_artifacts(inputs.mesh_file, inputs.view, result, config)
+        artifacts = make_artifacts(inputs, inputs.refine(config), config)
         for name, data in artifacts.items():
             (directory / name).write_bytes(data)
         start = datetime(2026, 1, 1, tzinfo=UTC)

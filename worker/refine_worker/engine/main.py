@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     connection = Connection(options.pipe)
     device = torch.device("cuda" if os.environ.get("CUDA_VISIBLE_DEVICES") else "cpu")
     refinery = Refinery(BlobStore(options.blobs), device, options.read_memory_bytes)
-    warm_up(refinery)
+    warm_up(device)
     inbox = Inbox(connection)
     messages.send(connection, Ready(seconds=time.monotonic() - started))
     while True:

@@ -1,4 +1,4 @@
-"""The engine's work on one job: blobs -> inputs -> refine -> artifacts -> blobs."""
+"""The engine's work on one job: read, configure, refine, make the artifacts."""
 
 from __future__ import annotations
 
@@ -8,21 +8,19 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from refine_engine.artifacts.make import make_artifacts
 from refine_engine.method.config import RefineConfig
-from refine_engine.method.loop import refine
 from refine_engine.method.presets import make_config
 from refine_engine.request import Inputs, read_inputs
-from refine_engine.values import Mesh, Progress, Result, View
+from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_proto.formats import ARTIFACTS
-from refine_proto.models import Artifact, RefinementSpec, SilhouetteIou
+from refine_proto.models import Artifact, RefinementOptions, SilhouetteIou
 from refine_proto.models import Progress as ProgressModel
 
 from ..messages import Done, FromEngine, Progressed, Run, Stage, StageStarted
@@ -42,18 +40,13 @@ class Refinery:
 
     def refine(self, run: Run, tell: Tell, cancelled: Callable[[], bool]) -> Done:
         """Do the job. Raises the engine's errors and MemoryShort."""
-        mesh = self._blobs.get(keys.input_blob(run.job_id, keys.MESH))
-        silhouette = self._blobs.get(keys.input_blob(run.job_id, keys.SILHOUETTE))
-        tell(StageStarted(stage=Stage.READ))
-        with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
-            inputs = read_files(mesh, silhouette, run.spec)
-        del mesh, silhouette
+        inputs = self._read(run, tell)
+        config = config_of(run.spec.options)
         tell(StageStarted(stage=Stage.REFINE))
-        config = config_of(run.spec)
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
-            result = self.optimise(inputs, config, _Reporter(tell), cancelled)
+            result = inputs.refine(config, self._device, _Reporter(tell), cancelled)
             tell(StageStarted(stage=Stage.STORE))
-            artifacts = make_artifacts(inputs.mesh_file, inputs.view, result, config)
+            artifacts = make_artifacts(inputs, result, config)
         if self._device.type == "cuda":
             torch.cuda.empty_cache()  # for the other slots of the card
         return Done(
@@ -63,23 +56,15 @@ class Refinery:
             ),
         )
 
-    def optimise(
-        self,
-        inputs: Inputs,
-        config: RefineConfig,
-        report: Callable[[Progress], None] | None = None,
-        cancelled: Callable[[], bool] | None = None,
-    ) -> Result:
-        """`refine_engine.refine` on this device, with the warnings about the inputs."""
-        mesh, view = inputs.mesh_file.mesh, inputs.view
-        result = refine(
-            Mesh(mesh.vertices.to(self._device), mesh.faces.to(self._device)),
-            [View(view.silhouette.to(self._device), view.camera)],
-            config,
-            report,
-            cancelled,
+    def _read(self, run: Run, tell: Tell) -> Inputs:
+        mesh, silhouette = (
+            self._blobs.get(keys.input_blob(run.job_id, part)) for part in (keys.MESH, keys.SILHOUETTE)
         )
-        return replace(result, warnings=(*inputs.warnings, *result.warnings))
+        tell(StageStarted(stage=Stage.READ))
+        spec = run.spec
+        name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
+        with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
+            return read_inputs(mesh, name, silhouette, spec.camera, spec.options.silhouette_threshold)
 
     def _store(self, run: Run, artifacts: Mapping[str, bytes]) -> tuple[Artifact, ...]:
         stored = {
@@ -97,20 +82,8 @@ class Refinery:
         )
 
 
-def read_files(mesh: bytes, silhouette: bytes, spec: RefinementSpec) -> Inputs:
-    """The files of a job under the words of its spec."""
-    return read_inputs(
-        mesh,
-        f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh",
-        silhouette,
-        spec.camera,
-        spec.options.silhouette_threshold,
-    )
-
-
-def config_of(spec: RefinementSpec) -> RefineConfig:
+def config_of(options: RefinementOptions) -> RefineConfig:
     """The engine's configuration for the options of a job."""
-    options = spec.options
     return make_config(
         options.preset, options.iterations, options.seed, options.symmetry_normal, options.symmetry_offset
     )

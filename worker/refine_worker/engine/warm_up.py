@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 
+import torch
 from PIL import Image, ImageDraw
 
 from refine_engine.artifacts.make import make_artifacts
-from refine_proto.models import LookAtCamera, RefinementOptions, RefinementSpec
-
-from .refinery import Refinery, config_of, read_files
+from refine_engine.method.presets import make_config
+from refine_engine.request import read_inputs
+from refine_proto.cameras import LookAtCamera
 
 _ITERATIONS = 4  # at least one in every stage of the default preset
 _OCTAHEDRON = b"""OFF
@@ -31,17 +32,13 @@ _OCTAHEDRON = b"""OFF
 """
 
 
-def warm_up(refinery: Refinery) -> None:
+def warm_up(device: torch.device) -> None:
     """Refine an octahedron towards a disc."""
     image = Image.new("L", (64, 64))
     ImageDraw.Draw(image).ellipse((18, 18, 46, 46), fill=255)
     silhouette = io.BytesIO()
     image.save(silhouette, "PNG")
-    spec = RefinementSpec(
-        camera=LookAtCamera(azimuth_degrees=30, elevation_degrees=20, distance=1.6),
-        options=RefinementOptions(iterations=_ITERATIONS),
-    )
-    config = config_of(spec)
-    inputs = read_files(_OCTAHEDRON, silhouette.getvalue(), spec)
-    result = refinery.optimise(inputs, config)
-    make_artifacts(inputs.mesh_file, inputs.view, result, config)
+    camera = LookAtCamera(azimuth_degrees=30, elevation_degrees=20, distance=1.6)
+    inputs = read_inputs(_OCTAHEDRON, "octahedron.off", silhouette.getvalue(), camera)
+    config = make_config(iterations=_ITERATIONS)
+    make_artifacts(inputs, inputs.refine(config, device), config)

@@ -13,6 +13,7 @@ from refine_engine.artifacts.make import make_artifacts
 from refine_engine.artifacts.pictures import hard_render
 from refine_engine.files.mesh_file import read_mesh
 from refine_engine.method.config import RefineConfig
+from refine_engine.request import Inputs
 from refine_engine.values import Camera, Mesh, Result, View
 from refine_proto.formats import ARTIFACTS
 
@@ -34,7 +35,7 @@ def artifacts(textured: bytes) -> dict[str, Any]:
     moved = refined.vertices - file.mesh.vertices
     curve = {"total": [2.0, 1.0]}
     result = Result(refined, moved, confidence, 7, curve, 0.9, 0.8, 0.0, 1.5, ("slow",))
-    made: dict[str, Any] = dict(make_artifacts(file, view, result, RefineConfig()))
+    made: dict[str, Any] = dict(make_artifacts(Inputs(file, (view,), ()), result, RefineConfig()))
     return {"file": file, "view": view, "result": result} | made
 
 

@@ -1,0 +1,74 @@
+"""From files to a result by way of Inputs: what is read, what is refined, and the warnings on the way."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+import torch
+from PIL import Image
+
+from refine_engine.artifacts.make import make_report
+from refine_engine.cameras.seen import hard_silhouette
+from refine_engine.cameras.spec import camera_from_spec
+from refine_engine.errors import Cancelled
+from refine_engine.method.config import RefineConfig, Stage
+from refine_engine.method.loop import refine
+from refine_engine.request import Inputs, read_inputs, read_view
+from refine_engine.values import Mesh, Progress
+from refine_proto.cameras import LookAtCamera
+
+CONFIG = RefineConfig(proportions=None, stages=(Stage(4, 32, 1e-3),), encoder_size=32)
+FRONT = LookAtCamera(azimuth_degrees=60, elevation_degrees=25, distance=2.2)
+BACK = LookAtCamera(azimuth_degrees=-120, elevation_degrees=10, distance=2.4)
+# A long box off the origin. The last triangle of the file has no area.
+CORNERS = [[x, y, z] for x in (0.0, 1.2) for y in (0.0, 0.3) for z in (0.0, 0.5)]
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+OBJ = "".join(
+    [f"v {x} {y} {z}\n" for x, y, z in CORNERS]
+    + [f"f {a + 1} {b + 1} {c + 1} {d + 1}\n" for a, b, c, d in QUADS]
+    + ["f 1 1 2\n"]
+).encode()
+
+
+def png(camera: LookAtCamera) -> bytes:
+    """A box a tenth larger, as the camera sees it."""
+    faces = [triangle for a, b, c, d in QUADS for triangle in ((a, b, c), (a, c, d))]
+    larger = Mesh(torch.tensor(CORNERS) * 1.1, torch.tensor(faces))
+    image = io.BytesIO()
+    Image.fromarray(hard_silhouette(larger, camera_from_spec(camera, 64, 64)).numpy()).save(image, "PNG")
+    return image.getvalue()
+
+
+def inputs() -> Inputs:
+    return read_inputs(OBJ, "box.obj", png(FRONT), FRONT)
+
+
+def test_warnings_about_the_files_reach_the_result_and_the_report() -> None:
+    """Of the mesh (a triangle without area) and of the camera (it was written the other way round)."""
+    mirrored = FRONT.model_copy(update={"azimuth_degrees": -60})
+    read = read_inputs(OBJ, "box.obj", png(mirrored), FRONT)
+    about_the_mesh, about_the_camera = read.warnings
+    assert "1 of 13 triangles" in about_the_mesh
+    assert "did you mean azimuth_degrees negated?" in about_the_camera
+    result = read.refine(CONFIG)
+    assert result.warnings == read.warnings
+    assert make_report(read.mesh_file, result, CONFIG)["warnings"] == list(read.warnings)
+
+
+def test_inputs_refine_as_the_method_does() -> None:
+    """With one silhouette and with two."""
+    one = inputs()
+    two = replace(one, views=(*one.views, read_view(png(BACK), BACK)))
+    seen: list[Progress] = []
+    for read in (one, two):
+        result = read.refine(CONFIG, "cpu", seen.append)
+        expected = refine(read.mesh_file.mesh, read.views, CONFIG)
+        assert torch.equal(result.mesh.vertices, expected.mesh.vertices)
+    assert {progress.iteration for progress in seen} >= {1, 4}
+
+
+def test_inputs_can_be_cancelled() -> None:
+    with pytest.raises(Cancelled):
+        inputs().refine(CONFIG, cancelled=lambda: True)
