@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     while True:
         run = inbox.next_run()
         with log_fields(run.log_fields):
-            messages.send(connection, _attempt(refinery, run, connection, inbox.cancelled))
+            work(refinery, run, connection, inbox.cancelled)
 
 
 def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -86,6 +86,12 @@ class Inbox:
             else:
                 self.cancelled.clear()
                 self._runs.put(message)
+
+
+def work(refinery: Refinery, run: Run, connection: Connection, cancelled: threading.Event) -> None:
+    """Do one job and say how it ended; nothing of it stays in memory."""
+    messages.send(connection, _attempt(refinery, run, connection, cancelled))
+    refinery.clear()
 
 
 def _attempt(

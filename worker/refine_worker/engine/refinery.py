@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import resource
 import sys
@@ -47,14 +48,21 @@ class Refinery:
             result = inputs.refine(config, self._device, _Reporter(tell), cancelled)
             tell(StageStarted(stage=Stage.STORE))
             artifacts = make_artifacts(inputs, result, config)
-        if self._device.type == "cuda":
-            torch.cuda.empty_cache()  # for the other slots of the card
         return Done(
             artifacts=self._store(run, artifacts),
             silhouette_iou=SilhouetteIou(
                 before=result.silhouette_iou_before, after=result.silhouette_iou_after
             ),
         )
+
+    def clear(self) -> None:
+        """Give back what a job that has ended, in whatever way, held on the device: other slots want it.
+
+        Not from within `refine`: an error on its way out still holds the tensors of all that it passed.
+        """
+        gc.collect()  # a run refers to itself
+        if self._device.type == "cuda":
+            torch.cuda.empty_cache()
 
     def _read(self, run: Run, tell: Tell) -> Inputs:
         mesh, silhouette = (

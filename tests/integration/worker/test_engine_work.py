@@ -1,0 +1,98 @@
+"""What the engine process does with one job, in this process: the messages, and what it leaves behind."""
+
+from __future__ import annotations
+
+import gc
+import json
+import threading
+from collections.abc import Iterator
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+import torch
+
+from refine_jobs import keys
+from refine_jobs.blobs import BlobStore
+from refine_proto.models import RefinementSpec
+from refine_worker import messages
+from refine_worker.engine.main import work
+from refine_worker.engine.refinery import Refinery
+from refine_worker.messages import Failed, FromEngine, Run
+
+SAMPLE = Path(__file__).parents[3] / "examples" / "samples" / "table"
+DEVICES = [
+    pytest.param("cpu"),
+    pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")),
+]
+
+
+@pytest.fixture
+def blobs(tmp_path: Path) -> BlobStore:
+    """With the files of `job`, and of `bad`, whose mesh is none."""
+    blobs = BlobStore(str(tmp_path))
+    for job, mesh in (("job", (SAMPLE / "coarse.obj").read_bytes()), ("bad", b"v 0 0 0\n")):
+        blobs.put(keys.input_blob(job, keys.MESH), mesh)
+        blobs.put(keys.input_blob(job, keys.SILHOUETTE), (SAMPLE / "silhouette.png").read_bytes())
+    return blobs
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[Connection, Connection]]:
+    ours, theirs = Pipe()
+    with ours, theirs:
+        yield ours, theirs
+
+
+def run(job_id: str, **options: object) -> Run:
+    camera = json.loads((SAMPLE / "camera.json").read_text())
+    spec = {"camera": camera, "mesh_format": "obj", "options": {"iterations": 2, **options}}
+    return Run(job_id=job_id, attempt=1, spec=RefinementSpec.model_validate(spec))
+
+
+def told(connection: Connection) -> list[FromEngine]:
+    """All messages that are there."""
+    found = []
+    while connection.poll():
+        found.append(messages.receive_in_slot(connection))
+    return found
+
+
+def held(device: str) -> tuple[int, int]:
+    """Tensors that are alive, and what others cannot have of the card, in steps larger than workspaces."""
+    alive = sum(issubclass(type(thing), torch.Tensor) for thing in gc.get_objects())
+    return alive, torch.cuda.memory_reserved() // 2**27 if device == "cuda" else 0
+
+
+@pytest.fixture
+def nobody_tidies() -> Iterator[None]:
+    """Cycles stay until somebody asks for a collection."""
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.mark.usefixtures("nobody_tidies")
+@pytest.mark.parametrize("device", DEVICES)
+def test_nothing_of_a_job_stays_however_it_ends(
+    device: str, blobs: BlobStore, pipe: tuple[Connection, Connection]
+) -> None:
+    refinery = Refinery(blobs, torch.device(device), 2**40)
+    go_on, stop = threading.Event(), threading.Event()
+    stop.set()
+    ends = [
+        (run("job"), go_on, "done"),
+        (run("job", preset="paper"), go_on, "done"),
+        (run("job", preset="paper"), stop, "CANCELLED"),
+        (run("bad"), go_on, "MESH_INVALID"),
+        (run("missing"), go_on, "INTERNAL"),
+    ]
+    left = []
+    for _ in range(2):  # what is kept for good is there after the first round
+        for job, cancelled, expected in ends:
+            work(refinery, job, pipe[1], cancelled)
+            end = told(pipe[0])[-1]
+            assert (end.reason if isinstance(end, Failed) else end.type) == expected
+            left.append(held(device))
+    assert left[len(ends) :] == [left[len(ends) - 1]] * len(ends)
