@@ -86,9 +86,9 @@ class RefinementRequest(RefinementSpec):
 
 
 class Output(BaseModel):
-    """Base of everything a server sends: frozen; ignores the fields of a newer server."""
+    """Base of everything a server sends: frozen, finite numbers; ignores the fields of a newer server."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 class State(StrEnum):

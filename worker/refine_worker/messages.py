@@ -31,7 +31,7 @@ class Stage(StrEnum):
 
 
 class _Message(BaseModel):
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)  # JSON would say null
 
 
 class Run(_Message):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import threading
 from collections.abc import Iterator
 from multiprocessing import Pipe
@@ -12,14 +13,17 @@ from pathlib import Path
 
 import pytest
 import torch
+from pydantic import ValidationError
 
+from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
+from refine_proto import models
 from refine_proto.models import RefinementSpec
 from refine_worker import messages
 from refine_worker.engine.main import work
-from refine_worker.engine.refinery import Refinery
-from refine_worker.messages import Failed, FromEngine, Run
+from refine_worker.engine.refinery import Refinery, Reporter
+from refine_worker.messages import Failed, FromEngine, Progressed, Ready, Run
 
 SAMPLE = Path(__file__).parents[3] / "examples" / "samples" / "table"
 DEVICES = [
@@ -96,3 +100,20 @@ def test_nothing_of_a_job_stays_however_it_ends(
             assert (end.reason if isinstance(end, Failed) else end.type) == expected
             left.append(held(device))
     assert left[len(ends) :] == [left[len(ends) - 1]] * len(ends)
+
+
+def test_a_progress_without_numbers_reaches_the_slot(pipe: tuple[Connection, Connection]) -> None:
+    """0 / 0 is no number, and JSON has no word for it."""
+    report = Reporter(lambda message: messages.send(pipe[1], message))
+    report(Progress(1, 2, {"total": 3.0, "silhouette": math.nan}, math.nan))
+    [message] = told(pipe[0])
+    assert isinstance(message, Progressed)
+    assert (message.progress.losses, message.progress.silhouette_iou) == ({"total": 3.0}, 0.0)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_no_message_carries_what_is_no_number(number: float) -> None:
+    with pytest.raises(ValidationError, match="finite"):
+        models.Progress(iteration=1, total=2, percent=50, silhouette_iou=number)
+    with pytest.raises(ValidationError, match="finite"):
+        Ready(seconds=number)

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import torch
 
+from refine_engine import values
 from refine_engine.artifacts.make import make_artifacts
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.presets import make_config
 from refine_engine.request import Inputs, read_inputs
-from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
+from refine_proto import models
 from refine_proto.formats import ARTIFACTS
 from refine_proto.models import Artifact, RefinementOptions, SilhouetteIou
-from refine_proto.models import Progress as ProgressModel
 
 from ..messages import Done, FromEngine, Progressed, Run, Stage, StageStarted
 
@@ -45,7 +45,7 @@ class Refinery:
         config = config_of(run.spec.options)
         tell(StageStarted(stage=Stage.REFINE))
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
-            result = inputs.refine(config, self._device, _Reporter(tell), cancelled)
+            result = inputs.refine(config, self._device, Reporter(tell), cancelled)
             tell(StageStarted(stage=Stage.STORE))
             artifacts = make_artifacts(inputs, result, config)
         return Done(
@@ -97,7 +97,7 @@ def config_of(options: RefinementOptions) -> RefineConfig:
     )
 
 
-class _Reporter:
+class Reporter:
     """The engine's progress in the words of the contract, with the time that is left."""
 
     def __init__(self, tell: Tell) -> None:
@@ -105,18 +105,19 @@ class _Reporter:
         self._last: tuple[int, float] | None = None  # iteration, time
         self._pace_s: float | None = None  # of an iteration
 
-    def __call__(self, progress: Progress) -> None:
+    def __call__(self, progress: values.Progress) -> None:
         self._measure(progress.iteration)
         left = progress.total - progress.iteration
         self._tell(
             Progressed(
-                progress=ProgressModel(
+                progress=models.Progress(
                     iteration=progress.iteration,
                     total=progress.total,
                     percent=round(100 * progress.iteration / progress.total, 1),
                     eta_s=None if self._pace_s is None else round(self._pace_s * left, 1),
                     losses={name: value for name, value in progress.losses.items() if math.isfinite(value)},
-                    silhouette_iou=progress.silhouette_iou,
+                    # Where neither covers a pixel it is 0 / 0: what is empty overlaps with nothing.
+                    silhouette_iou=progress.silhouette_iou if math.isfinite(progress.silhouette_iou) else 0.0,
                 )
             )
         )
