@@ -50,7 +50,7 @@ class Job(BaseModel):
     owner: str
     state: State
     attempt: int
-    spec: RefinementSpec
+    spec: Mapping[str, Any]  # a RefinementSpec, checked at the edge: only who refines reads it again
     mesh: Blob
     silhouette: Blob
     created_at: datetime
@@ -81,16 +81,14 @@ class Job(BaseModel):
     @property
     def timeout_s(self) -> float:
         """Longest run of one attempt; submit has filled it in."""
-        timeout_s = self.spec.options.timeout_s
-        assert timeout_s is not None
-        return timeout_s
+        return float(self.spec["options"]["timeout_s"])
 
     def refinement(self, queue_position: int | None = None) -> Refinement:
         """What the contract shows; the edge adds URLs."""
         return Refinement(
             id=self.id,
             state=self.state,
-            options=self.spec.options,
+            options=self.spec["options"],
             progress=self.progress,
             error=self.error,
             artifacts=list(self.artifacts),

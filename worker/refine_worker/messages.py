@@ -10,13 +10,14 @@ Cancel ->                         at any time while it runs
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from multiprocessing.connection import Connection
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from refine_proto.models import Artifact, Progress, RefinementSpec, SilhouetteIou
+from refine_proto.models import Artifact, Progress, SilhouetteIou
 
 MAX_BYTES = 2**20  # of one message; files go through the blob store
 
@@ -35,12 +36,12 @@ class _Message(BaseModel):
 
 
 class Run(_Message):
-    """Refine the files of a job."""
+    """Refine the files of a job. `spec` is the record's RefinementSpec: the engine process reads it again."""
 
     type: Literal["run"] = "run"
     job_id: str
     attempt: int
-    spec: RefinementSpec
+    spec: Mapping[str, Any]
     log_fields: dict[str, str] = {}
 
 

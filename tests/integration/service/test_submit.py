@@ -58,7 +58,7 @@ def test_a_multipart_body(rest: httpx.Client, hand: Hand) -> None:
 
     job = hand.start(refinement.id)
     assert (job.request_id, job.traceparent) == ("req-7", TRACEPARENT)
-    assert (job.owner, job.spec.mesh_format) == ("anonymous", "obj")
+    assert (job.owner, job.spec["mesh_format"]) == ("anonymous", "obj")
     assert hand.blobs.get(keys.input_blob(job.id, keys.MESH)) == MESH
     assert hand.blobs.get(keys.input_blob(job.id, keys.SILHOUETTE)) == PNG
 
@@ -69,7 +69,7 @@ def test_a_json_body(rest: httpx.Client, hand: Hand) -> None:
     answer = rest.post("/v1/refinements", json=body)
     assert answer.status_code == 202
     job = hand.start(answer.json()["id"])
-    assert job.spec.options.iterations == 20
+    assert job.spec["options"]["iterations"] == 20
     assert hand.blobs.get(keys.input_blob(job.id, keys.MESH)) == MESH
 
 

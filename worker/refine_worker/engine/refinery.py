@@ -22,7 +22,7 @@ from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_proto import models
 from refine_proto.formats import ARTIFACTS
-from refine_proto.models import Artifact, RefinementOptions, SilhouetteIou
+from refine_proto.models import Artifact, RefinementOptions, RefinementSpec, SilhouetteIou
 
 from ..messages import Done, FromEngine, Progressed, Run, Stage, StageStarted
 
@@ -41,8 +41,9 @@ class Refinery:
 
     def refine(self, run: Run, tell: Tell, cancelled: Callable[[], bool]) -> Done:
         """Do the job. Raises the engine's errors and MemoryShort."""
-        inputs = self._read(run, tell)
-        config = config_of(run.spec.options)
+        spec = RefinementSpec.model_validate(run.spec)
+        inputs = self._read(run.job_id, spec, tell)
+        config = config_of(spec.options)
         tell(StageStarted(stage=Stage.REFINE))
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
             result = inputs.refine(config, self._device, Reporter(tell), cancelled)
@@ -64,12 +65,11 @@ class Refinery:
         if self._device.type == "cuda":
             torch.cuda.empty_cache()
 
-    def _read(self, run: Run, tell: Tell) -> Inputs:
+    def _read(self, job_id: str, spec: RefinementSpec, tell: Tell) -> Inputs:
         mesh, silhouette = (
-            self._blobs.get(keys.input_blob(run.job_id, part)) for part in (keys.MESH, keys.SILHOUETTE)
+            self._blobs.get(keys.input_blob(job_id, part)) for part in (keys.MESH, keys.SILHOUETTE)
         )
         tell(StageStarted(stage=Stage.READ))
-        spec = run.spec
         name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
         with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
             return read_inputs(mesh, name, silhouette, spec.camera, spec.options.silhouette_threshold)
