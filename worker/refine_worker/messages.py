@@ -3,7 +3,7 @@
 slot                      engine
       <- Ready                    once, after the warm-up
 Run   ->
-      <- StageStarted, Progressed ...
+      <- PhaseStarted, Progressed ...
 Cancel ->                         at any time while it runs
       <- Done or Failed           once for each Run
 """
@@ -22,7 +22,7 @@ from refine_proto.models import Artifact, Progress, SilhouetteIou
 MAX_BYTES = 2**20  # of one message; files go through the blob store
 
 
-class Stage(StrEnum):
+class Phase(StrEnum):
     """What the engine is doing with a job."""
 
     FETCH = "fetch"  # the files from the blob store
@@ -58,9 +58,9 @@ class Ready(_Message):
     seconds: float
 
 
-class StageStarted(_Message):
-    type: Literal["stage_started"] = "stage_started"
-    stage: Stage
+class PhaseStarted(_Message):
+    type: Literal["phase_started"] = "phase_started"
+    phase: Phase
 
 
 class Progressed(_Message):
@@ -86,7 +86,7 @@ class Failed(_Message):
 
 
 ToEngine = Run | Cancel
-FromEngine = Ready | StageStarted | Progressed | Done | Failed
+FromEngine = Ready | PhaseStarted | Progressed | Done | Failed
 _TO_ENGINE: TypeAdapter[ToEngine] = TypeAdapter(Annotated[ToEngine, Field(discriminator="type")])
 _FROM_ENGINE: TypeAdapter[FromEngine] = TypeAdapter(Annotated[FromEngine, Field(discriminator="type")])
 

@@ -11,7 +11,7 @@ import pytest
 
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_worker.messages import Failed, Run, Stage, StageStarted
+from refine_worker.messages import Failed, Phase, PhaseStarted, Run
 from refine_worker.plan import SlotPlan
 from refine_worker.settings import WorkerSettings
 from refine_worker.slot.engine_process import EngineProcess, EngineStartFailed
@@ -32,7 +32,7 @@ def test_a_mesh_that_needs_too_much_memory_fails(tmp_path: Path) -> None:
         engine.prepare()
         engine.run(Run(job_id="job", attempt=1, spec={"camera": CAMERA, "mesh_format": "obj"}))
         message = engine.receive(60)
-        assert isinstance(message, StageStarted)
+        assert isinstance(message, PhaseStarted)
         message = engine.receive(60)
         assert isinstance(message, Failed)
         assert (message.reason, message.replace_engine) == ("OUT_OF_MEMORY", True)
@@ -67,7 +67,7 @@ def test_a_mesh_that_the_edge_let_in_is_read_whatever_its_size(tmp_path: Path) -
         engine.prepare()
         engine.run(Run(job_id="job", attempt=1, spec=spec))
         assert [engine.receive(60), engine.receive(60)] == [
-            StageStarted(stage=Stage.READ), StageStarted(stage=Stage.REFINE)
+            PhaseStarted(phase=Phase.READ), PhaseStarted(phase=Phase.REFINE)
         ]  # fmt: skip
     finally:
         engine.kill()

@@ -24,7 +24,7 @@ from refine_proto import models
 from refine_proto.formats import ARTIFACTS
 from refine_proto.models import Artifact, RefinementOptions, RefinementSpec, SilhouetteIou
 
-from ..messages import Done, FromEngine, Progressed, Run, Stage, StageStarted
+from ..messages import Done, FromEngine, Phase, PhaseStarted, Progressed, Run
 
 Tell = Callable[[FromEngine], None]
 
@@ -44,10 +44,10 @@ class Refinery:
         spec = RefinementSpec.model_validate(run.spec)
         inputs = self._read(run.job_id, spec, tell)
         config = config_of(spec.options)
-        tell(StageStarted(stage=Stage.REFINE))
+        tell(PhaseStarted(phase=Phase.REFINE))
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
             result = inputs.refine(config, self._device, Reporter(tell), cancelled)
-            tell(StageStarted(stage=Stage.STORE))
+            tell(PhaseStarted(phase=Phase.STORE))
             artifacts = make_artifacts(inputs, result, config)
         return Done(
             artifacts=self._store(run, artifacts),
@@ -69,7 +69,7 @@ class Refinery:
         mesh, silhouette = (
             self._blobs.get(keys.input_blob(job_id, part)) for part in (keys.MESH, keys.SILHOUETTE)
         )
-        tell(StageStarted(stage=Stage.READ))
+        tell(PhaseStarted(phase=Phase.READ))
         name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
         with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
             return read_inputs(mesh, name, silhouette, spec.camera, spec.options.silhouette_threshold)

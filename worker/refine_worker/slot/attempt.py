@@ -12,7 +12,7 @@ from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInval
 from refine_proto.models import Progress, State
 
 from ..logs import fields_of
-from ..messages import Done, Failed, FromEngine, Progressed, Run, Stage, StageStarted
+from ..messages import Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Run
 from .engine_process import EngineDied
 from .slot import Slot
 
@@ -30,8 +30,8 @@ class Attempt:
 
     def __init__(self, slot: Slot, job: Job) -> None:
         self._slot, self._job, self._settings = slot, job, slot.settings
-        self._started = self._stage_started = self._last_sign = time.monotonic()
-        self._stage = Stage.FETCH
+        self._started = self._phase_started = self._last_sign = time.monotonic()
+        self._phase = Phase.FETCH
         self._progress: Progress | None = None  # not reported yet
         self._cancelled_at: float | None = None
 
@@ -79,8 +79,8 @@ class Attempt:
 
     def _note(self, message: FromEngine) -> None:
         self._last_sign = time.monotonic()
-        if isinstance(message, StageStarted):
-            self._stage, self._stage_started = message.stage, self._last_sign
+        if isinstance(message, PhaseStarted):
+            self._phase, self._phase_started = message.phase, self._last_sign
         elif isinstance(message, Progressed):
             self._progress = message.progress
 
@@ -105,15 +105,15 @@ class Attempt:
             raise Stopped("its worker was shut down")
         if now - self._started > self._job.timeout_s:
             raise DeadlineExceeded(
-                f"expected an end within {self._job.timeout_s:g} s (options.timeout_s), got none in stage "
-                f"{self._stage}; allow more time or ask for fewer iterations"
+                f"expected an end within {self._job.timeout_s:g} s (options.timeout_s), got none in phase "
+                f"{self._phase}; allow more time or ask for fewer iterations"
             )
-        if self._stage is Stage.READ and now - self._stage_started > settings.read_timeout_s:
+        if self._phase is Phase.READ and now - self._phase_started > settings.read_timeout_s:
             raise MeshInvalid(
                 f"expected files that can be read in {settings.read_timeout_s:g} s; simplify the mesh"
             )
         if now - self._last_sign > settings.stall_timeout_s:
             raise Internal(
-                f"the engine made no progress for {settings.stall_timeout_s:g} s in stage {self._stage} "
+                f"the engine made no progress for {settings.stall_timeout_s:g} s in phase {self._phase} "
                 "and was stopped; please report it with the request id"
             )
