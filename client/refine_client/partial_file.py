@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NoReturn, Self
 
-from refine_proto.errors import Conflict, InvalidInput, NotFound, RefineError
+from refine_proto.errors import Conflict, InvalidInput, NotFound, ServerError
 from refine_proto.models import Artifact, Refinement
 
 from .errors import ConnectionLost, DownloadCorrupt
@@ -95,7 +95,7 @@ def choose_artifacts(refinement: Refinement, names: Iterable[str] | None) -> lis
     offered = {artifact.name: artifact for artifact in refinement.artifacts}
     for name in offered:
         if Path(name).name != name or name.startswith(".") or "\0" in name:
-            raise RefineError(f"expected artifacts with plain file names from the server, got {name!r}")
+            raise ServerError(f"expected artifacts with plain file names from the server, got {name!r}")
     if not offered and not refinement.state.terminal:
         raise Conflict(f"expected a finished refinement, {refinement.id} is {refinement.state}; wait for it")
     if not offered:

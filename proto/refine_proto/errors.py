@@ -1,6 +1,6 @@
 """What can go wrong, as a tree with one table: reason -> title, HTTP status, gRPC status, retryable.
 
-RefineError
+RefineError                  itself only for a reason that a newer server has
 ├── InvalidInput             the request's content; sending it again will not help
 │   ├── FormatUnsupported, MeshInvalid, SilhouetteInvalid, CameraInvalid, ObjectOutOfView, OptionsInvalid
 │   ├── PayloadTooLarge
@@ -10,18 +10,21 @@ RefineError
 │   └── MethodNotAllowed, RangeNotSatisfiable
 ├── Busy                     try again after `retry_after_s`
 │   └── QuotaExceeded, QueueFull, Unavailable, Draining
+├── CallFailed               the call itself failed; says nothing about a refinement
+│   └── UploadTimeout, ServerError
 └── JobFailed                accepted, but the refinement did not succeed
     ├── OutOfMemory, WorkerLost, DeadlineExceeded, Diverged, Internal
     └── Cancelled
 
-The server raises these, and the SDK raises the same ones from a response (`from_problem`).
+The server raises these, and the SDK raises the same ones from a response (`from_problem`). What the worker
+finds wrong with the files of an accepted refinement is InvalidInput: it is the files that have to change.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from .models import FieldError, ProblemDetails
 from .strict import complaints, in_one_line, short
@@ -57,6 +60,8 @@ TABLE: Mapping[str, Status] = {
     "QUEUE_FULL": Status("Queue full", 503, "UNAVAILABLE", retryable=True),
     "UNAVAILABLE": Status("Temporarily unavailable", 503, "UNAVAILABLE", retryable=True),
     "DRAINING": Status("Shutting down", 503, "UNAVAILABLE", retryable=True),
+    "UPLOAD_TIMEOUT": Status("Upload too slow", 504, "DEADLINE_EXCEEDED"),
+    "SERVER_ERROR": Status("Server error", 500, "INTERNAL"),
     "OUT_OF_MEMORY": Status("Out of memory", 500, "RESOURCE_EXHAUSTED"),
     "WORKER_LOST": Status("Worker lost", 500, "ABORTED", retryable=True),
     "DEADLINE_EXCEEDED": Status("Deadline exceeded", 504, "DEADLINE_EXCEEDED"),
@@ -69,29 +74,32 @@ TABLE: Mapping[str, Status] = {
 class RefineError(Exception):
     """Base of all errors of the contract.
 
-    `detail` says what was expected, what came and what to do next; `retry_after_s` is when to try again.
+    `detail` says what was expected, what came and what to do next; `retry_after_s` is when to try again;
+    `reason` is that of the class unless another is given.
     """
 
-    reason = "INTERNAL"
+    default_reason: ClassVar[str] = "SERVER_ERROR"
 
     def __init__(
         self,
         detail: str,
         *,
+        reason: str | None = None,
         errors: Sequence[FieldError] = (),
         retry_after_s: float | None = None,
         request_id: str | None = None,
     ) -> None:
         super().__init__(detail)
         self.detail = detail
+        self.reason = reason or self.default_reason
         self.errors = tuple(errors)
         self.retry_after_s = retry_after_s
         self.request_id = request_id
 
     @property
     def status(self) -> Status:
-        """The row of the table; that of INTERNAL for a reason that only a newer server knows."""
-        return TABLE.get(self.reason, TABLE["INTERNAL"])
+        """The row of the table; that of SERVER_ERROR for a reason that only a newer server knows."""
+        return TABLE.get(self.reason, TABLE["SERVER_ERROR"])
 
     @property
     def retryable(self) -> bool:
@@ -113,39 +121,39 @@ class RefineError(Exception):
 
 
 class InvalidInput(RefineError):
-    reason = "INPUT_INVALID"
+    default_reason = "INPUT_INVALID"
 
 
 class FormatUnsupported(InvalidInput):
-    reason = "FORMAT_UNSUPPORTED"
+    default_reason = "FORMAT_UNSUPPORTED"
 
 
 class MeshInvalid(InvalidInput):
-    reason = "MESH_INVALID"
+    default_reason = "MESH_INVALID"
 
 
 class SilhouetteInvalid(InvalidInput):
-    reason = "SILHOUETTE_INVALID"
+    default_reason = "SILHOUETTE_INVALID"
 
 
 class CameraInvalid(InvalidInput):
-    reason = "CAMERA_INVALID"
+    default_reason = "CAMERA_INVALID"
 
 
 class ObjectOutOfView(InvalidInput):
-    reason = "OBJECT_OUT_OF_VIEW"
+    default_reason = "OBJECT_OUT_OF_VIEW"
 
 
 class OptionsInvalid(InvalidInput):
-    reason = "OPTIONS_INVALID"
+    default_reason = "OPTIONS_INVALID"
 
 
 class PayloadTooLarge(InvalidInput):
-    reason = "PAYLOAD_TOO_LARGE"
+    default_reason = "PAYLOAD_TOO_LARGE"
 
 
 class IdempotencyKeyReused(InvalidInput):
-    reason = "IDEMPOTENCY_KEY_REUSED"
+    default_reason = "IDEMPOTENCY_KEY_REUSED"
 
 
 class Refused(RefineError):
@@ -153,27 +161,27 @@ class Refused(RefineError):
 
 
 class Unauthenticated(Refused):
-    reason = "UNAUTHENTICATED"
+    default_reason = "UNAUTHENTICATED"
 
 
 class NotFound(Refused):
-    reason = "NOT_FOUND"
+    default_reason = "NOT_FOUND"
 
 
 class Expired(Refused):
-    reason = "EXPIRED"
+    default_reason = "EXPIRED"
 
 
 class Conflict(Refused):
-    reason = "CONFLICT"
+    default_reason = "CONFLICT"
 
 
 class MethodNotAllowed(Refused):
-    reason = "METHOD_NOT_ALLOWED"
+    default_reason = "METHOD_NOT_ALLOWED"
 
 
 class RangeNotSatisfiable(Refused):
-    reason = "RANGE_NOT_SATISFIABLE"
+    default_reason = "RANGE_NOT_SATISFIABLE"
 
 
 class Busy(RefineError):
@@ -181,19 +189,31 @@ class Busy(RefineError):
 
 
 class QuotaExceeded(Busy):
-    reason = "QUOTA_EXCEEDED"
+    default_reason = "QUOTA_EXCEEDED"
 
 
 class QueueFull(Busy):
-    reason = "QUEUE_FULL"
+    default_reason = "QUEUE_FULL"
 
 
 class Unavailable(Busy):
-    reason = "UNAVAILABLE"
+    default_reason = "UNAVAILABLE"
 
 
 class Draining(Busy):
-    reason = "DRAINING"
+    default_reason = "DRAINING"
+
+
+class CallFailed(RefineError):
+    """Base of what ends a call without an answer to it."""
+
+
+class UploadTimeout(CallFailed):
+    default_reason = "UPLOAD_TIMEOUT"
+
+
+class ServerError(CallFailed):
+    default_reason = "SERVER_ERROR"
 
 
 class JobFailed(RefineError):
@@ -201,27 +221,27 @@ class JobFailed(RefineError):
 
 
 class OutOfMemory(JobFailed):
-    reason = "OUT_OF_MEMORY"
+    default_reason = "OUT_OF_MEMORY"
 
 
 class WorkerLost(JobFailed):
-    reason = "WORKER_LOST"
+    default_reason = "WORKER_LOST"
 
 
 class DeadlineExceeded(JobFailed):
-    reason = "DEADLINE_EXCEEDED"
+    default_reason = "DEADLINE_EXCEEDED"
 
 
 class Diverged(JobFailed):
-    reason = "DIVERGED"
+    default_reason = "DIVERGED"
 
 
 class Internal(JobFailed):
-    reason = "INTERNAL"
+    default_reason = "INTERNAL"
 
 
 class Cancelled(JobFailed):
-    reason = "CANCELLED"
+    default_reason = "CANCELLED"
 
 
 def _tree(root: type[RefineError]) -> Iterable[type[RefineError]]:
@@ -231,7 +251,7 @@ def _tree(root: type[RefineError]) -> Iterable[type[RefineError]]:
 
 
 _BY_REASON: Mapping[str, type[RefineError]] = {
-    cls.reason: cls for cls in _tree(RefineError) if "reason" in vars(cls)
+    cls.default_reason: cls for cls in _tree(RefineError) if "default_reason" in vars(cls)
 }
 
 
@@ -242,11 +262,13 @@ def error_class(reason: str) -> type[RefineError]:
 
 def from_problem(problem: ProblemDetails, *, retry_after_s: float | None = None) -> RefineError:
     """The error that a response tells."""
-    error = error_class(problem.reason)(
-        problem.detail, errors=problem.errors, retry_after_s=retry_after_s, request_id=problem.request_id
+    return error_class(problem.reason)(
+        problem.detail,
+        reason=problem.reason,
+        errors=problem.errors,
+        retry_after_s=retry_after_s,
+        request_id=problem.request_id,
     )
-    error.reason = problem.reason
-    return error
 
 
 # The first step of a pointer decides the reason.

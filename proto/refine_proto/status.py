@@ -52,14 +52,13 @@ def from_status(status: status_pb2.Status) -> RefineError | None:
     if not info.reason or info.domain != DOMAIN:
         return None
     delay_s = retry.retry_delay.ToMilliseconds() / 1000
-    error = error_class(info.reason)(
+    return error_class(info.reason)(
         status.message,
+        reason=info.reason,
         errors=[FieldError(pointer=v.field, detail=v.description) for v in request.field_violations],
         retry_after_s=delay_s if unpacked[error_details_pb2.RetryInfo] else None,
         request_id=sender.request_id or None,
     )
-    error.reason = info.reason
-    return error
 
 
 def _packed(message: Message) -> Any:

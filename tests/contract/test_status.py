@@ -37,9 +37,7 @@ def test_a_delay_of_zero_is_not_none() -> None:
 
 
 def test_a_reason_of_a_newer_server_is_kept() -> None:
-    error = RefineError("new")
-    error.reason = "BRAND_NEW"
-    again = from_status(to_status(error))
+    again = from_status(to_status(RefineError("new", reason="BRAND_NEW")))
     assert type(again) is RefineError
     assert again.reason == "BRAND_NEW"
 

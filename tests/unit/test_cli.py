@@ -121,6 +121,6 @@ def test_interrupt_is_130_without_a_traceback(
 
 
 def test_version_is_the_newest_of_the_changelog() -> None:
-    newest = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    newest = re.search(r"^## (\d\S*)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert newest
     assert refine("--version").stdout == f"refine {newest[1]}\n"

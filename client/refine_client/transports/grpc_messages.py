@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from refine_proto import errors
 from refine_proto.convert import to_message, to_model
-from refine_proto.errors import RefineError
+from refine_proto.errors import RefineError, ServerError
 from refine_proto.models import Artifact, Event, EventType
 from refine_proto.status import STATUS_KEY, from_status
 from refine_proto.v1 import refine_pb2
@@ -74,7 +74,7 @@ def parse(message: Message, model: type[ModelT]) -> ModelT:
     try:
         return to_model(message, model)
     except ValidationError as error:
-        raise RefineError(
+        raise ServerError(
             f"expected a {model.__name__} from the server, got another: {error.errors()[0]['msg']}"
         ) from None
 
@@ -164,6 +164,6 @@ def _error_of_code(rpc_error: Any, connection: Connection) -> RefineError:
         return ConnectionLost(
             f"expected an answer from {connection.server}, got {code}: {details}; is the server running?"
         )
-    return _ERROR_OF_CODE.get(code, RefineError)(
+    return _ERROR_OF_CODE.get(code, ServerError)(
         f"expected an answer of a REFINE server from {connection.server}, got {code}: {details}"
     )

@@ -17,7 +17,7 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from refine_proto import errors
-from refine_proto.errors import InvalidInput, RefineError, Refused, from_problem
+from refine_proto.errors import InvalidInput, NotFound, RefineError, ServerError, from_problem
 from refine_proto.models import Artifact, Event, EventType, ProblemDetails
 
 from ..address import Connection
@@ -133,7 +133,7 @@ def parse_event(response: httpx.Response, event: ServerSentEvent) -> Event | Non
     try:
         return Event.model_validate_json(event.data)
     except ValidationError as error:
-        raise RefineError(
+        raise ServerError(
             f"expected an Event from the server, got {event.data[:200]!r}: {error.errors()[0]['msg']}",
             request_id=request_id_of(response),
         ) from None
@@ -178,7 +178,7 @@ def error_of(response: httpx.Response) -> RefineError:
 
 def _error_of_status(response: httpx.Response, retry_after_s: float | None) -> RefineError:
     status = response.status_code
-    fallback = RefineError if status >= 500 else Refused if status in range(300, 400) else InvalidInput
+    fallback = ServerError if status >= 500 else InvalidInput if status >= 400 else NotFound  # 3xx
     detail = (
         f"expected an answer of a REFINE server from {response.request.url}, got "
         f"{status} {response.reason_phrase} without a reason; check the server's address and its proxies"
@@ -190,7 +190,7 @@ def _error_of_status(response: httpx.Response, retry_after_s: float | None) -> R
 
 def _not_ours(response: httpx.Response, wanted: str) -> RefineError:
     got = response.headers.get("Content-Type", "no content type")
-    return RefineError(
+    return ServerError(
         f"expected {wanted} from {response.request.url}, got {response.status_code} {got}; "
         "is this a REFINE server?",
         request_id=request_id_of(response),

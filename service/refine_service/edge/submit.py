@@ -19,7 +19,7 @@ from refine_jobs import keys
 from refine_jobs.blobs import Blob
 from refine_jobs.edge_store import Submitted
 from refine_jobs.record import Submission
-from refine_proto.errors import DeadlineExceeded, PayloadTooLarge, Unavailable, check_idempotency_key
+from refine_proto.errors import PayloadTooLarge, Unavailable, UploadTimeout, check_idempotency_key
 from refine_proto.formats import HEAD_BYTES
 from refine_proto.models import FieldError, RefinementSpec
 
@@ -95,10 +95,11 @@ def check_size(part: str, size_bytes: int, limit_bytes: int) -> None:
         raise PayloadTooLarge(detail, errors=[FieldError(pointer=f"/{part}", detail=detail)])
 
 
-def took_too_long(settings: ServiceSettings) -> DeadlineExceeded:
+def took_too_long(settings: ServiceSettings) -> UploadTimeout:
     """The error of an upload that does not end."""
-    return DeadlineExceeded(
-        f"expected the upload within {settings.upload_timeout_s:g} s, got only a part of it"
+    return UploadTimeout(
+        f"expected the upload within {settings.upload_timeout_s:g} s, got only a part of it; send a smaller "
+        "mesh or use a faster connection"
     )
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
-from refine_proto.errors import Conflict, error_class
+from refine_proto.errors import Conflict, from_problem
 from refine_proto.formats import ARTIFACTS, ArtifactName
 from refine_proto.models import Refinement, RefinementPage, State
 
@@ -32,7 +32,7 @@ router = APIRouter(prefix=COLLECTION, tags=["refinements"])
     "",
     status_code=202,
     response_model=Refinement,
-    responses={200: FINISHED, 202: ACCEPTED, **problems(401, 413, 415, 422, 429, 503, 504)},
+    responses={200: FINISHED, 202: ACCEPTED, **problems(401, 409, 410, 413, 415, 422, 429, 500, 503, 504)},
     openapi_extra={"requestBody": CREATE_BODY},
 )
 async def create_refinement(
@@ -74,7 +74,7 @@ async def _refined_mesh(
         response.headers.update(headers)
         return response
     if refinement.error is not None:
-        raise error_class(refinement.error.reason)(refinement.error.detail, errors=refinement.error.errors)
+        raise from_problem(refinement.error)
     raise Conflict(f"refinement {refinement.id} is {refinement.state}; it has no refined mesh")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,15 @@ from typing import Any
 import grpc
 import httpx
 import pytest
+from google.rpc import status_pb2
 from redis import Redis
 from service_process import CAMERA, MESH, PNG, Hand, Service, run_service
 
 from refine_jobs import keys
 from refine_proto.convert import to_message
+from refine_proto.errors import UploadTimeout
 from refine_proto.models import RefinementSpec
+from refine_proto.status import STATUS_KEY, from_status
 from refine_proto.v1 import refine_pb2 as pb
 from refine_proto.v1.refine_pb2_grpc import RefinementsStub
 
@@ -144,8 +148,24 @@ def test_an_upload_that_stalls_is_ended(service: Service, redis: Redis) -> None:
         )
         answer = b"".join(iter(lambda: connection.recv(65536), b""))
     assert answer.startswith(b"HTTP/1.1 504 ")
-    assert b'"reason":"DEADLINE_EXCEEDED"' in answer
+    assert b'"reason":"UPLOAD_TIMEOUT"' in answer
     assert not redis.exists(keys.UPLOADS)
+
+
+def test_a_stream_that_stalls_is_ended(service: Service) -> None:
+    answered = threading.Event()
+
+    def messages() -> Iterator[pb.CreateRefinementRequest]:
+        yield pb.CreateRefinementRequest(header=HEADER)
+        answered.wait(30)
+
+    with grpc.insecure_channel(service.grpc_address) as channel, pytest.raises(grpc.RpcError) as caught:
+        RefinementsStub(channel).CreateRefinement(messages())
+    answered.set()
+    trailers: Any = caught.value.trailing_metadata()
+    error = from_status(status_pb2.Status.FromString(dict(trailers)[STATUS_KEY]))
+    assert caught.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
+    assert type(error) is UploadTimeout
 
 
 def test_a_deadline_of_the_caller_ends_a_watch(service: Service) -> None:

@@ -8,8 +8,9 @@ import pytest
 from service_process import CAMERA, IOU, MESH, PNG, Hand, Service
 
 from refine_client import RefineClient
+from refine_jobs import keys
 from refine_proto.convert import to_model
-from refine_proto.errors import Conflict, Diverged, Expired, InvalidInput, NotFound
+from refine_proto.errors import Conflict, Diverged, Expired, InvalidInput, NotFound, ServerError
 from refine_proto.models import Refinement, State
 from refine_proto.v1 import refine_pb2 as pb
 from refine_proto.v1.refine_pb2_grpc import RefinementsStub
@@ -51,6 +52,15 @@ def test_both_transports_show_the_same_record(
     if end == "failed":
         assert shown.error
         assert shown.error.reason == "DIVERGED"
+
+
+def test_an_error_of_the_server_is_none_of_the_job(client: RefineClient, hand: Hand) -> None:
+    refinement_id = submit(client).id
+    hand.redis.hset(keys.JOB + refinement_id, "state", "no state")
+    with pytest.raises(ServerError, match="not of the request") as caught:
+        client.get(refinement_id)
+    assert caught.value.reason == "SERVER_ERROR"
+    assert caught.value.request_id
 
 
 def test_pages(client: RefineClient) -> None:

@@ -68,7 +68,8 @@ def test_an_id_is_one_step_of_the_path(face: Face, script: Script) -> None:
         errors.Unauthenticated("expected a key"),
         errors.Expired("expected a younger one"),
         errors.Conflict("expected another state"),
-        errors.Internal("a bug"),
+        errors.UploadTimeout("expected the upload within 300 s"),
+        errors.ServerError("a bug"),
     ],
     ids=lambda error: error.reason,
 )
@@ -78,6 +79,7 @@ def test_errors_are_the_servers_and_not_retried(face: Face, script: Script, erro
         face.call("get", "job-1")
     got = caught.value
     assert (got.reason, got.detail, got.errors) == (error.reason, error.detail, error.errors)
+    assert not isinstance(got, errors.JobFailed)
     assert got.request_id == script.calls[0].request_id
     assert len(script.calls) == 1
 
@@ -231,14 +233,38 @@ def test_refine_does_it_all(
     assert {name: path.read_bytes() for name, path in refined.files.items()} == ARTIFACTS
 
 
+@pytest.mark.parametrize(
+    ("error", "caught_as"),
+    [
+        (errors.ObjectOutOfView("expected the object in view"), errors.InvalidInput),
+        (errors.Internal("the engine crashed"), errors.JobFailed),
+        (errors.DeadlineExceeded("expected an end within 60 s"), errors.JobFailed),
+    ],
+    ids=lambda value: getattr(value, "reason", ""),
+)
 def test_refine_raises_the_reason_of_the_job(
-    face: Face, script: Script, mesh: Path, silhouette: Path, camera: Camera, tmp_path: Path
+    face: Face,
+    script: Script,
+    mesh: Path,
+    silhouette: Path,
+    camera: Camera,
+    tmp_path: Path,
+    error: RefineError,
+    caught_as: type[RefineError],
 ) -> None:
-    script.ends_in, script.error = State.FAILED, errors.ObjectOutOfView("expected the object in view")
-    with pytest.raises(errors.ObjectOutOfView) as caught:
+    script.ends_in, script.error = State.FAILED, error
+    with pytest.raises(caught_as) as caught:
         face.call("refine", mesh, silhouette, camera, tmp_path / "out")
+    assert type(caught.value) is type(error)
     assert caught.value.request_id == "req-job"
     assert not script.seen("download")
+
+
+def test_a_reason_of_a_newer_server_is_kept(face: Face, script: Script) -> None:
+    script.failures = [RefineError("new", reason="BRAND_NEW")]
+    with pytest.raises(RefineError) as caught:
+        face.call("get", "job-1")
+    assert (type(caught.value), caught.value.reason) == (RefineError, "BRAND_NEW")
 
 
 def test_an_interrupted_refine_cancels_its_job(

@@ -67,13 +67,13 @@ HTML = {"Content-Type": "text/html"}
 @pytest.mark.parametrize(
     ("status", "error", "tries"),
     [
-        (301, errors.Refused, 1),
+        (301, errors.NotFound, 1),
         (400, errors.InvalidInput, 1),
         (401, errors.Unauthenticated, 1),
         (404, errors.NotFound, 1),
         (413, errors.PayloadTooLarge, 1),
         (429, errors.QuotaExceeded, 5),
-        (500, errors.RefineError, 1),
+        (500, errors.ServerError, 1),
         (502, errors.Unavailable, 5),
         (504, errors.Unavailable, 5),
     ],
@@ -91,11 +91,11 @@ def test_statuses_without_a_reason(
 
 def test_a_page_that_is_no_refinement(client: RefineClient, stranger: Stranger) -> None:
     stranger.answers = [(200, HTML | {"X-Request-Id": "theirs"}, b"<h1>Welcome</h1>")]
-    with pytest.raises(errors.RefineError, match="is this a REFINE server") as caught:
+    with pytest.raises(errors.ServerError, match="is this a REFINE server") as caught:
         client.get("job-1")
     assert caught.value.request_id == "theirs"
     with pytest.raises(
-        errors.RefineError, match=r"expected a stream of text/event-stream.*got 200 text/html"
+        errors.ServerError, match=r"expected a stream of text/event-stream.*got 200 text/html"
     ):
         client.wait("job-1")
 
@@ -142,7 +142,7 @@ def test_what_is_sent_twice_is_given_once(client: RefineClient, stranger: Strang
 
 def test_an_unreadable_event_is_not_asked_for_again(client: RefineClient, stranger: Stranger) -> None:
     stranger.answers = [(200, {"Content-Type": "text/event-stream"}, b"event: state\ndata: {]\n\n")]
-    with pytest.raises(errors.RefineError, match="expected an Event") as caught:
+    with pytest.raises(errors.ServerError, match="expected an Event") as caught:
         client.wait("job-1")
     assert len(stranger.asked) == 1
     assert caught.value.request_id == stranger.asked[0]["X-Request-Id"]
