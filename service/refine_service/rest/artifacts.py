@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request
+from fastapi import APIRouter, Header
 from fastapi.responses import Response, StreamingResponse
-from starlette.datastructures import Headers
 
 from refine_proto.errors import RangeNotSatisfiable
 from refine_proto.models import Artifact, Refinement
@@ -15,11 +14,12 @@ from refine_proto.models import Artifact, Refinement
 from ..edge.artifacts import find_artifact, open_artifact
 from ..edge.edge import COLLECTION, Edge
 from .depends import EdgeHere, Found
-from .openapi import NOT_MODIFIED, PART, WHOLE, problems
+from .openapi import DESCRIBED, NOT_MODIFIED, PART, WHOLE, problems, without_content
 from .problems import problem_response
 
 _RANGE = re.compile(r"bytes=(?:(\d{1,18})-(\d{0,18})|-(\d{1,18}))")
 
+IfNoneMatch = Annotated[str | None, Header(description="Answer 304 if the ETag is among these.")]
 router = APIRouter(prefix=COLLECTION, tags=["artifacts"])
 
 
@@ -29,60 +29,69 @@ router = APIRouter(prefix=COLLECTION, tags=["artifacts"])
     responses={200: WHOLE, 206: PART, 304: NOT_MODIFIED, **problems(401, 404, 410, 416, 422, 429, 503)},
 )
 async def download_artifact(
-    request: Request,
     refinement: Found,
     name: str,
     edge: EdgeHere,
     range: Annotated[
         str | None, Header(description="One range, `bytes=a-b`, `bytes=a-` or `bytes=-n`.")
     ] = None,
-    if_none_match: Annotated[str | None, Header(description="Answer 304 if the ETag is among these.")] = None,
+    if_none_match: IfNoneMatch = None,
     if_range: Annotated[str | None, Header(description="The range counts only for this ETag.")] = None,
 ) -> Response:
     """The bytes of an artifact; the ETag is their SHA-256."""
-    return await artifact_response(edge, request.headers, refinement, name)
-
-
-async def artifact_response(
-    edge: Edge, headers: Headers, refinement: Refinement, name: str, whole: bool = False
-) -> Response:
-    """What the request's headers ask for of an artifact; `whole`: all of it."""
     artifact = find_artifact(refinement, name)
-    etag = f'"{artifact.sha256}"'
-    answer = {
-        "ETag": etag,
-        "Accept-Ranges": "bytes",
-        "Cache-Control": "private, max-age=3600, immutable",
-        "Content-Disposition": f'attachment; filename="{artifact.name}"',
-    }
-    if whole:
-        return await _part(edge, refinement, artifact, None, answer)
-    if _matches(headers.get("if-none-match", ""), etag):
-        return Response(status_code=304, headers=answer)
-    wanted = headers.get("range") if headers.get("if-range", etag) == etag else None
+    if _matches(if_none_match, _etag(artifact)):
+        return Response(status_code=304, headers=_headers(artifact))
     try:
-        span = _span(wanted, artifact.size_bytes)
+        span = _span(range if if_range in (None, _etag(artifact)) else None, artifact.size_bytes)
     except RangeNotSatisfiable as error:
         response = problem_response(error)
         response.headers["Content-Range"] = f"bytes */{artifact.size_bytes}"
         return response
-    return await _part(edge, refinement, artifact, span, answer)
+    return await artifact_response(edge, refinement, artifact, span)
 
 
-async def _part(
-    edge: Edge,
-    refinement: Refinement,
-    artifact: Artifact,
-    span: tuple[int, int] | None,
-    headers: dict[str, str],
+@router.head(
+    "/{refinement_id}/artifacts/{name}",
+    response_class=Response,
+    responses={200: DESCRIBED, 304: NOT_MODIFIED, **without_content(problems(401, 404, 410, 422, 429, 503))},
+)
+async def describe_artifact(
+    refinement: Found, name: str, edge: EdgeHere, if_none_match: IfNoneMatch = None
 ) -> Response:
+    """The headers of an artifact: its size, its type, and as ETag the SHA-256 of its bytes."""
+    artifact = find_artifact(refinement, name)
+    if _matches(if_none_match, _etag(artifact)):
+        return Response(status_code=304, headers=_headers(artifact))
+    await open_artifact(edge, refinement, artifact, 0, 0)  # they are still there
+    size = {"Content-Length": str(artifact.size_bytes)}
+    return Response(headers=_headers(artifact) | size, media_type=artifact.media_type)
+
+
+async def artifact_response(
+    edge: Edge, refinement: Refinement, artifact: Artifact, span: tuple[int, int] | None = None
+) -> Response:
+    """The bytes of an artifact: all, or those from the first to before the second number of `span`."""
     size = artifact.size_bytes
     start, stop = span or (0, size)
-    headers["Content-Length"] = str(stop - start)
+    headers = _headers(artifact) | {"Content-Length": str(stop - start)}
     if span:
         headers["Content-Range"] = f"bytes {start}-{stop - 1}/{size}"
     chunks = await open_artifact(edge, refinement, artifact, start, stop)
     return StreamingResponse(chunks, 206 if span else 200, headers, artifact.media_type)
+
+
+def _headers(artifact: Artifact) -> dict[str, str]:
+    return {
+        "ETag": _etag(artifact),
+        "Accept-Ranges": "bytes",
+        "Cache-Control": "private, max-age=3600, immutable",
+        "Content-Disposition": f'attachment; filename="{artifact.name}"',
+    }
+
+
+def _etag(artifact: Artifact) -> str:
+    return f'"{artifact.sha256}"'
 
 
 def _span(header: str | None, size: int) -> tuple[int, int] | None:
@@ -100,6 +109,6 @@ def _span(header: str | None, size: int) -> tuple[int, int] | None:
     return start, stop
 
 
-def _matches(header: str, etag: str) -> bool:
-    tags = (tag.strip().removeprefix("W/") for tag in header.split(","))
+def _matches(header: str | None, etag: str) -> bool:
+    tags = (tag.strip().removeprefix("W/") for tag in (header or "").split(","))
     return any(tag in (etag, "*") for tag in tags)

@@ -92,9 +92,16 @@ EVENTS: dict[str, Any] = {
         }
     },
 }
+DESCRIBED: dict[str, Any] = {
+    "description": "What the bytes are, without them.",
+    "headers": {
+        "ETag": {"schema": {"type": "string"}, "description": "Their SHA-256."},
+        "Content-Length": {"schema": {"type": "integer"}, "description": "How many they are."},
+    },
+}
 WHOLE: dict[str, Any] = {
+    **DESCRIBED,
     "description": "The bytes.",
-    "headers": {"ETag": {"schema": {"type": "string"}, "description": "Their SHA-256."}},
     "content": dict.fromkeys(ARTIFACTS.values(), _BINARY),
 }
 PART: dict[str, Any] = {**WHOLE, "description": "The bytes of the range."}
@@ -140,6 +147,11 @@ CREATE_BODY: dict[str, Any] = {
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """The error answers of a route: problem details, with an example for each reason of the status."""
     return {status: _problem(status) for status in statuses}
+
+
+def without_content(answers: dict[int | str, dict[str, Any]]) -> dict[int | str, dict[str, Any]]:
+    """The same answers to HEAD."""
+    return {status: {"description": answer["description"]} for status, answer in answers.items()}
 
 
 def _problem(status: int) -> dict[str, Any]:

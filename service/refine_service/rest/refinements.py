@@ -13,6 +13,7 @@ from refine_proto.errors import Conflict, from_problem
 from refine_proto.formats import ARTIFACTS, ArtifactName
 from refine_proto.models import Refinement, RefinementPage, State
 
+from ..edge.artifacts import find_artifact
 from ..edge.edge import COLLECTION, Edge, with_urls
 from ..edge.follow import wait_for_end
 from ..edge.submit import submit
@@ -58,19 +59,16 @@ async def create_refinement(
         headers["Preference-Applied"] = f"wait={wait_s}"
         refinement = await wait_for_end(edge, call.owner, refinement.id, wait_s)
         if refinement.state.terminal and GLB in accept:
-            return await _refined_mesh(edge, request, refinement, headers)
+            return await _refined_mesh(edge, refinement, headers)
     status = 200 if wanted and refinement.state.terminal else 202
     return Response(refinement.model_dump_json(), status, headers, "application/json")
 
 
-async def _refined_mesh(
-    edge: Edge, request: Request, refinement: Refinement, headers: dict[str, str]
-) -> Response:
+async def _refined_mesh(edge: Edge, refinement: Refinement, headers: dict[str, str]) -> Response:
     """The refined GLB itself; raises the refinement's error if there is none."""
     if refinement.state is State.SUCCEEDED:
-        response = await artifact_response(
-            edge, request.headers, refinement, ArtifactName.REFINED, whole=True
-        )
+        artifact = find_artifact(refinement, ArtifactName.REFINED)
+        response = await artifact_response(edge, refinement, artifact)
         response.headers.update(headers)
         return response
     if refinement.error is not None:

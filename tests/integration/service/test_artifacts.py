@@ -87,6 +87,16 @@ def test_conditions(rest: httpx.Client, path: str) -> None:
     assert rest.get(path, headers={**part, "If-Range": '"other"'}).content == DATA
 
 
+def test_head_is_get_without_the_bytes(rest: httpx.Client, path: str) -> None:
+    got, answer = rest.get(path), rest.head(path, headers={"Range": "bytes=0-9"})
+    own = ("date", "x-request-id")
+    kept = [{k: v for k, v in each.headers.items() if k not in own} for each in (got, answer)]
+    assert (answer.status_code, answer.content) == (200, b"")
+    assert kept[0] == kept[1]
+    assert answer.headers["Content-Length"] == "200000"
+    assert rest.head(path, headers={"If-None-Match": ETAG}).status_code == 304
+
+
 def test_over_grpc(service: Service, refinement_id: str) -> None:
     with grpc.insecure_channel(service.grpc_address) as channel:
         stub = RefinementsStub(channel)
@@ -121,6 +131,7 @@ def test_what_is_not_there(service: Service, rest: httpx.Client, refinement_id: 
     for name in ("report.json", "..%2f..%2finput%2fmesh", "%00"):
         answer = rest.get(f"{folder}/{name}")
         assert (answer.status_code, answer.json()["reason"]) == (404, "NOT_FOUND")
+        assert rest.head(f"{folder}/{name}").status_code == 404
     with grpc.insecure_channel(service.grpc_address) as channel:
         request = pb.DownloadArtifactRequest(id=refinement_id, name="report.json")
         with pytest.raises(grpc.RpcError) as caught:
@@ -128,3 +139,4 @@ def test_what_is_not_there(service: Service, rest: httpx.Client, refinement_id: 
     assert caught.value.code().name == NotFound("").status.grpc
     hand.blobs.delete_folder(keys.blob_folder(refinement_id))
     assert rest.get(f"{folder}/refined.glb").status_code == 410
+    assert rest.head(f"{folder}/refined.glb").status_code == 410
