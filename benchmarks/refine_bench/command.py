@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +13,7 @@ import torch
 
 from refine_engine.errors import RefineError
 from refine_engine.method.presets import PRESETS
+from refine_proto.commands.cores import usable_cores
 
 from .cases import Case, SetInvalid, read_bytes
 from .coarse_files import FRAMES, CoarseFolder
@@ -55,7 +55,7 @@ examples
 
 def bench_command(argv: Sequence[str]) -> int:
     """0 all cases done, 1 some failed, 2 the run could not start."""
-    options = _parser().parse_args(argv)
+    options = bench_parser().parse_args(argv)
     torch.set_num_threads(options.threads)
     try:
         if options.set == "rerender":
@@ -169,7 +169,8 @@ def _rerender(options: argparse.Namespace) -> int:
     return FAILED if problems else 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def bench_parser() -> argparse.ArgumentParser:
+    """The arguments of `refine bench`."""
     parser = argparse.ArgumentParser(
         prog="refine bench",
         description="Refine and score a data set: by how much do the meshes get better?",
@@ -215,7 +216,11 @@ def _common_options() -> argparse.ArgumentParser:
         help="own: as the published evaluation of REFINE (shared)",
     )  # fmt: skip
     parser.add_argument(
-        "--threads", type=_positive, default=_cores(), metavar="N", help="default: all cores (%(default)s)"
+        "--threads",
+        type=_positive,
+        default=usable_cores(),
+        metavar="N",
+        help="default: all cores (%(default)s)",
     )
     parser.add_argument("--server", metavar="URL", help="refine through a server: http(s)://, grpc(s)://")
     parser.add_argument("--in-flight", type=_positive, default=4, metavar="N", help="requests at once (4)")
@@ -251,8 +256,3 @@ def _positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"expected a number of at least 1, got {text!r}")
     return int(text)
-
-
-def _cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

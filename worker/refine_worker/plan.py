@@ -103,27 +103,6 @@ def _choose(wanted: str, cuda_devices: Sequence[str]) -> list[str]:
     return names
 
 
-def usable_cores() -> int:
-    """The cores that this process may use: its CPU affinity, and the quota of its container."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    quota = _cpu_quota()
-    return max(1, min(cores, int(quota))) if quota else cores
-
-
-def _cpu_quota() -> float | None:
-    """CPUs that the control group allows (version 2, then 1), or None."""
-    group = Path("/sys/fs/cgroup")
-    try:
-        if (group / "cpu.max").exists():
-            quota, period = (group / "cpu.max").read_text().split()
-        else:
-            quota = (group / "cpu/cpu.cfs_quota_us").read_text().strip()
-            period = (group / "cpu/cpu.cfs_period_us").read_text().strip()
-    except (OSError, ValueError):
-        return None
-    return None if quota in ("max", "-1") else int(quota) / int(period)
-
-
 def find_cuda_devices(environment: Mapping[str, str] = os.environ) -> list[str]:
     """CUDA_VISIBLE_DEVICES names of the devices that torch can use.
 

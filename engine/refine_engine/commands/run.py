@@ -13,6 +13,7 @@ from typing import NoReturn
 
 import torch
 
+from refine_proto.commands.cores import usable_cores
 from refine_proto.formats import SILHOUETTE_THRESHOLD
 
 from ..artifacts.make import make_artifacts
@@ -28,7 +29,7 @@ from .display import Display, choose_display
 def run_command(argv: Sequence[str]) -> int:
     """0 done, 1 failed, 2 bad input; a failure is one line `error: REASON: message` on standard error."""
     try:
-        _run(_parse(argv))
+        _run(run_parser().parse_args(argv))
     except InputError as error:
         return _fail(error.reason, str(error), 2)
     except RefineError as error:
@@ -52,7 +53,8 @@ class _Parser(argparse.ArgumentParser):
         raise OptionsInvalid(f"{message}; refine run --help explains the options")
 
 
-def _parse(argv: Sequence[str]) -> argparse.Namespace:
+def run_parser() -> argparse.ArgumentParser:
+    """The arguments of `refine run`."""
     parser = _Parser(
         prog="refine run",
         description="Refine a coarse mesh so that it agrees with its silhouette and stays plausible.",
@@ -83,10 +85,10 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         "--device", choices=["auto", "cpu", "cuda"], default="auto", help="auto: CUDA if present"
     )
     parser.add_argument(
-        "--threads", type=int, default=_cores(), metavar="N", help="default: all cores (%(default)s)"
+        "--threads", type=int, default=usable_cores(), metavar="N", help="default: all cores (%(default)s)"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object per line on standard output")
-    return parser.parse_args(argv)
+    return parser
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -123,11 +125,6 @@ def _refine(inputs: Inputs, config: RefineConfig, device: torch.device, display:
         for warning in result.warnings[len(inputs.warnings) :]:
             display.warn(warning)
     return result
-
-
-def _cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _device(name: str) -> torch.device:

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from refine_worker.plan import PlanError, find_cuda_devices, plan_slots, usable_cores
+from refine_worker.plan import PlanError, find_cuda_devices, plan_slots
 from refine_worker.settings import WorkerSettings
 
 
@@ -59,8 +59,7 @@ def test_devices_that_are_not_there_are_refused(devices: str) -> None:
         plan(4, found, devices=devices)
 
 
-def test_this_machine_has_cores_and_needs_no_cuda() -> None:
-    assert 1 <= usable_cores() <= (os.cpu_count() or 1)
+def test_this_machine_needs_no_cuda() -> None:
     assert find_cuda_devices(os.environ | {"CUDA_VISIBLE_DEVICES": ""}) == []
 
 
