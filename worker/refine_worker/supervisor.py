@@ -20,13 +20,13 @@ from redis.exceptions import RedisError
 
 from refine_jobs import reaper
 from refine_jobs.blobs import BlobStore
+from refine_jobs.logs import configure_logs
 from refine_jobs.redis_server import RedisUnfit, check_server, connect
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
 from refine_proto.commands.cores import usable_cores
 
 from .lifeline import stop_with_parent
-from .logs import configure_logs
 from .plan import PlanError, SlotPlan, find_cuda_devices, plan_slots
 from .settings import WorkerSettings
 

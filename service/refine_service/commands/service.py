@@ -12,10 +12,10 @@ from collections.abc import Sequence
 
 import redis.exceptions
 
+from refine_jobs.logs import configure_logs
 from refine_jobs.redis_server import check_server, connect
 from refine_jobs.settings import JobSettings
 
-from ..logs import set_up_logging
 from ..server import run_service
 from ..settings import ServiceSettings
 from .common import BAD_INPUT, add_listen_arguments, command, environment, make_parser
@@ -39,7 +39,7 @@ def service_command(argv: Sequence[str]) -> int:
     if jobs.redis_url is None:
         print("error: expected REFINE_REDIS_URL; `refine serve` brings its own Redis", file=sys.stderr)
         return BAD_INPUT
-    set_up_logging()
+    configure_logs()
     redis_url = jobs.redis_url.get_secret_value()
     try:
         with connect(redis_url) as server:

@@ -9,6 +9,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Self
 
+from refine_jobs.logs import LOG_FIELDS
+
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._:-]{1,128}")
 _TRACEPARENT = re.compile(r"(?!ff)[0-9a-f]{2}-(?!0{32})[0-9a-f]{32}-(?!0{16})[0-9a-f]{16}-[0-9a-f]{2}")
 
@@ -37,5 +39,18 @@ class Call:
         """The trace that the call is a part of."""
         return self.traceparent.split("-")[1] if self.traceparent else None
 
+    def log_fields(self) -> dict[str, str]:
+        """The ids that are known by now."""
+        ids = {"request_id": self.request_id, "trace_id": self.trace_id, "job_id": self.job_id}
+        return {name: value for name, value in ids.items() if value}
+
 
 CALL: ContextVar[Call] = ContextVar("CALL")  # of the running task
+
+
+def begin_call(headers: Mapping[str, str]) -> Call:
+    """Make the call of the running task; its log lines carry its ids."""
+    call = Call.of(headers)
+    CALL.set(call)
+    LOG_FIELDS.set(call.log_fields)
+    return call

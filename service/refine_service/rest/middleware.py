@@ -8,9 +8,10 @@ import time
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..edge.call import CALL, Call
+from refine_jobs.logs import fields
+
+from ..edge.call import Call, begin_call
 from ..edge.prometheus import Metrics
-from ..logs import fields
 
 log = logging.getLogger(__name__)
 
@@ -27,8 +28,7 @@ class HttpCalls:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        call = Call.of(headers)
-        CALL.set(call)
+        call = begin_call(headers)
         exchange = _Exchange(call, receive, send, has_body=_has_body(headers))
         started = time.perf_counter()
         try:

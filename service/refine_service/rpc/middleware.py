@@ -11,12 +11,12 @@ from typing import Any, TypeAlias
 
 import grpc
 
+from refine_jobs.logs import fields
 from refine_proto.v1 import refine_pb2
 
-from ..edge.call import CALL, Call
+from ..edge.call import begin_call
 from ..edge.edge import Edge
 from ..edge.errors import as_refine_error
-from ..logs import fields
 from .errors import RpcContext, abort
 
 SERVICE = refine_pb2.DESCRIPTOR.services_by_name["Refinements"].full_name
@@ -85,8 +85,7 @@ class RpcCalls(grpc.aio.ServerInterceptor):
         metadata = {
             name: value for name, value in context.invocation_metadata() or () if isinstance(value, str)
         }
-        call = Call.of(metadata)
-        CALL.set(call)
+        call = begin_call(metadata)
         started, status = time.perf_counter(), "OK"
         try:
             await context.send_initial_metadata((("x-request-id", call.request_id),))

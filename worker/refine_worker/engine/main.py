@@ -21,9 +21,9 @@ import torch
 
 from refine_engine.errors import RefineError
 from refine_jobs.blobs import BlobStore
+from refine_jobs.logs import configure_logs, log_fields
 
 from .. import messages
-from ..logs import configure_logs, log_fields
 from ..messages import Cancel, Done, Failed, Ready, Run
 from .refinery import MemoryShort, Refinery
 from .warm_up import warm_up

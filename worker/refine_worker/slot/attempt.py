@@ -7,11 +7,11 @@ import time
 
 from redis.exceptions import RedisError
 
+from refine_jobs.logs import fields_of
 from refine_jobs.record import Job
 from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, error_class
 from refine_proto.models import Progress, State
 
-from ..logs import fields_of
 from ..messages import Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Run
 from .engine_process import EngineDied
 from .slot import Slot

@@ -12,6 +12,7 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from refine_jobs.logs import fields
 from refine_proto.errors import Internal, OutOfMemory, RefineError, WorkerLost
 
 from .. import messages
@@ -130,7 +131,7 @@ class EngineProcess:
                 f"the engine process was not ready within {self._settings.start_timeout_s:g} s "
                 "(REFINE_START_TIMEOUT_S)"
             )
-        log.info("the engine is warm after %.1f s", ready.seconds, extra={"engine_pid": self._process.pid})
+        log.info("the engine is warm after %.1f s", ready.seconds, extra=fields(engine_pid=self._process.pid))
 
     def _send(self, message: Run | Cancel) -> None:
         assert self._connection is not None
@@ -148,7 +149,9 @@ class EngineProcess:
             self._process.kill()
             code = self._process.wait()
         self._forget()
-        log.error("the engine process died: %s", _ending(code), extra={"stacks": self._read_crash_report()})
+        log.error(
+            "the engine process died: %s", _ending(code), extra=fields(stacks=self._read_crash_report())
+        )
         return _cause_of_death(code, out_of_memory=_oom_kills() > self._oom_kills)
 
     def _read_crash_report(self) -> str:

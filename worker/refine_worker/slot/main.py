@@ -13,12 +13,12 @@ from rq.job import Job as RqJob
 from rq.serializers import JSONSerializer
 
 from refine_jobs.delivery import FORMER_TASK, TASK, worker_queue
+from refine_jobs.logs import configure_logs
 from refine_jobs.redis_server import connect, connect_for_rq
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
 
 from ..lifeline import stop_with_parent
-from ..logs import configure_logs
 from ..plan import SlotPlan
 from ..settings import WorkerSettings
 from .engine_process import EngineProcess, EngineStartFailed

@@ -12,11 +12,11 @@ from contextvars import ContextVar
 from redis.exceptions import RedisError
 
 from refine_jobs import keys
+from refine_jobs.logs import fields_of, log_fields
 from refine_jobs.record import Job
 from refine_jobs.slots import SlotState, SlotStatus
 from refine_jobs.worker_store import WorkerStore
 
-from ..logs import fields_of, log_fields
 from ..plan import SlotPlan
 from ..settings import WorkerSettings
 from .engine_process import EngineProcess

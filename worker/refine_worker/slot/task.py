@@ -15,6 +15,7 @@ from functools import partial
 
 from redis.exceptions import RedisError
 
+from refine_jobs.logs import fields
 from refine_jobs.record import Job
 from refine_jobs.worker_store import LeaseLost
 from refine_proto.errors import Cancelled, Internal, RefineError
@@ -42,7 +43,7 @@ def run(job_id: str) -> None:
             _persist(_work(slot, job))
         except LeaseLost as error:
             log.warning("%s; its result is dropped", error)
-        log.info("ended", extra={"run_s": round(time.monotonic() - started, 3)})
+        log.info("ended", extra=fields(run_s=round(time.monotonic() - started, 3)))
 
 
 def _work(slot: Slot, job: Job) -> Callable[[], object]:

@@ -1,42 +1,43 @@
-"""Logs as one JSON object per line on standard error, with the ids of the job at hand."""
+"""The logs of service and worker: one JSON object a line on standard error, with the ids of what is done."""
 
 from __future__ import annotations
 
 import json
 import logging
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
-from types import MappingProxyType
 from typing import Any
 
-from refine_jobs.record import Job
+from .record import Job
 
-_FIELDS: ContextVar[Mapping[str, str]] = ContextVar("log fields", default=MappingProxyType({}))
-_STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime"}
+_EXTRA = "fields"
+LOG_FIELDS: ContextVar[Callable[[], Mapping[str, str]]] = ContextVar("fields of a line", default=dict)
+"""Tells the fields of every line of this thread or task: a function, for ids become known on the way."""
 
 
 class JsonFormatter(logging.Formatter):
-    """time, level, logger, message, the fields of `log_fields`, those of `extra`, exception."""
+    """time, level, logger, message; fields of the process, of LOG_FIELDS and of `fields`; traceback."""
 
     def __init__(self, process_fields: Mapping[str, str]) -> None:
         super().__init__()
         self._process_fields = process_fields
 
     def format(self, record: logging.LogRecord) -> str:
+        """One line of JSON."""
         line: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": record.getMessage(),
             **self._process_fields,
-            **_FIELDS.get(),
-            **{name: value for name, value in vars(record).items() if name not in _STANDARD},
+            **LOG_FIELDS.get()(),
+            **getattr(record, _EXTRA, {}),
         }
         if record.exc_info:
-            line["exception"] = self.formatException(record.exc_info)
+            line["traceback"] = self.formatException(record.exc_info)
         return json.dumps(line, default=str)
 
 
@@ -48,21 +49,26 @@ def configure_logs(**process_fields: str) -> None:
     logging.captureWarnings(True)
 
 
+def fields(**values: Any) -> dict[str, Any]:
+    """For `extra` of a logging call: fields of this one line. What other libraries put there is not shown."""
+    return {_EXTRA: values}
+
+
 @contextmanager
 def log_fields(fields: Mapping[str, str]) -> Iterator[None]:
-    """Inside, every line of this thread has these fields."""
-    token = _FIELDS.set(fields)
+    """Inside, every line of this thread or task has these fields."""
+    token = LOG_FIELDS.set(lambda: fields)
     try:
         yield
     finally:
-        _FIELDS.reset(token)
+        LOG_FIELDS.reset(token)
 
 
 def fields_of(job: Job) -> dict[str, str]:
     """job_id, and where the request came with them request_id and trace_id (W3C trace context)."""
-    fields = {"job_id": job.id, "attempt": str(job.attempt)}
+    found = {"job_id": job.id, "attempt": str(job.attempt)}
     if job.request_id:
-        fields["request_id"] = job.request_id
+        found["request_id"] = job.request_id
     if job.traceparent and job.traceparent.count("-") == 3:
-        fields["trace_id"] = job.traceparent.split("-")[1]
-    return fields
+        found["trace_id"] = job.traceparent.split("-")[1]
+    return found
