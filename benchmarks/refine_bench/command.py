@@ -14,6 +14,7 @@ import torch
 from refine_engine.errors import RefineError
 from refine_engine.method.presets import PRESETS
 from refine_proto.commands.cores import usable_cores
+from refine_proto.commands.ending import BAD_INPUT, FAILED, fail
 
 from .cases import Case, SetInvalid, read_bytes
 from .coarse_files import FRAMES, CoarseFolder
@@ -31,7 +32,6 @@ from .sets.synthetic import LEVELS, synthetic_cases
 from .show import Show
 from .tables import tables_csv, tables_markdown
 
-FAILED, BAD_INPUT = 1, 2
 SERVER = "server"  # the name of the method behind --server
 EPILOG = f"""\
 methods (--method, several may be given)
@@ -62,8 +62,7 @@ def bench_command(argv: Sequence[str]) -> int:
             return _rerender(options)
         return _bench(options)
     except RefineError as error:
-        print(f"error: {error.reason}: {' '.join(str(error).split())}", file=sys.stderr)
-        return BAD_INPUT
+        return fail(f"{error.reason}: {error}", BAD_INPUT)
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -201,11 +201,11 @@ def lose_the_mesh(inputs: Path) -> list[str]:
         (look_away, "OBJECT_OUT_OF_VIEW"),
         (take_the_output, "OPTIONS_INVALID"),
         (lose_the_mesh, "INPUT_INVALID"),
-        (lambda inputs: arguments(inputs, "--preset", "papr"), "OPTIONS_INVALID"),
+        (lambda inputs: arguments(inputs, "--preset", "papr"), "INPUT_INVALID"),
         (lambda inputs: arguments(inputs, "--iterations", "0"), "OPTIONS_INVALID"),
         (lambda inputs: arguments(inputs, "--threads", "0"), "OPTIONS_INVALID"),
         (lambda inputs: arguments(inputs, "--symmetry-normal", "0", "0", "0"), "OPTIONS_INVALID"),
-        (lambda inputs: arguments(inputs)[:1], "OPTIONS_INVALID"),
+        (lambda inputs: arguments(inputs)[:1], "INPUT_INVALID"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(

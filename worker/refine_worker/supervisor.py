@@ -25,6 +25,7 @@ from refine_jobs.redis_server import RedisUnfit, check_server, connect
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
 from refine_proto.commands.cores import usable_cores
+from refine_proto.commands.ending import BAD_INPUT
 
 from .lifeline import stop_with_parent
 from .plan import PlanError, SlotPlan, find_cuda_devices, plan_slots
@@ -39,8 +40,8 @@ _COLD_STOP_S = 5.0
 log = logging.getLogger(__name__)
 
 
-def worker_command(argv: Sequence[str]) -> int:
-    """0 stopped as asked, 2 the settings cannot be used."""
+def worker_parser() -> argparse.ArgumentParser:
+    """The arguments of `refine worker`."""
     parser = argparse.ArgumentParser(
         prog="refine worker",
         description="Run worker slots: they take jobs from the queue and refine them.",
@@ -49,12 +50,17 @@ def worker_command(argv: Sequence[str]) -> int:
     parser.add_argument(
         "--stop-with-stdin", action="store_true", help="stop when standard input closes, as if by SIGTERM"
     )
-    options = parser.parse_args(argv)
+    return parser
+
+
+def worker_command(argv: Sequence[str]) -> int:
+    """0 stopped as asked, 2 the settings cannot be used."""
+    options = worker_parser().parse_args(argv)
     try:
         supervisor = _build()
     except (ValidationError, PlanError, RedisUnfit, RedisError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
+        return BAD_INPUT
     if options.stop_with_stdin:
         stop_with_parent()
     supervisor.run()

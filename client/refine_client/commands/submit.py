@@ -10,11 +10,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from refine_proto.cameras import CAMERA_SPEC, CameraSpec
+from refine_proto.commands.ending import Parser
 from refine_proto.errors import from_validation
 from refine_proto.models import MeshFormat, Preset
 
-from .common import Parser, command, connect, make_parser
-from .watch import follow
+from .server_command import command, connect, make_parser
+from .watch import see_through
 
 EXAMPLE = """\
   refine submit coarse.glb silhouette.png --camera camera.json --wait -o out
@@ -30,7 +31,7 @@ _OPTIONS = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset"
 @command
 def submit_command(argv: Sequence[str]) -> None:
     """Run `refine submit`."""
-    arguments = _parser().parse_args(argv)
+    arguments = submit_parser().parse_args(argv)
     camera = _read_camera(arguments.camera)
     options: dict[str, Any] = {name: getattr(arguments, name) for name in (*_OPTIONS, "timeout_s")}
     if arguments.output is not None:
@@ -48,7 +49,7 @@ def submit_command(argv: Sequence[str]) -> None:
             print(refinement.model_dump_json(exclude_none=True) if arguments.json else refinement.id)
             return
         try:
-            follow(client, refinement, arguments.json, arguments.output)
+            see_through(client, refinement, arguments.json, arguments.output)
         except KeyboardInterrupt:
             print(
                 f"the refinement goes on; refine watch {refinement.id}, or refine cancel {refinement.id}",
@@ -64,7 +65,8 @@ def _read_camera(path: Path) -> CameraSpec:
         raise from_validation(error.errors(), under=("camera",)) from None
 
 
-def _parser() -> Parser:
+def submit_parser() -> Parser:
+    """The arguments of `refine submit`."""
     parser = make_parser(
         "submit", "Send a mesh, its silhouette and the camera to a server and print the id.", EXAMPLE
     )

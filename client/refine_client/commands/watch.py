@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from refine_proto.commands.ending import Parser
 from refine_proto.models import Refinement
 
 from ..client import RefineClient
 from ..errors import error_of
-from .common import command, connect, make_parser
 from .display import choose_display
+from .server_command import command, connect, make_parser
 
 EXAMPLE = """\
   refine watch ID
@@ -18,17 +19,22 @@ EXAMPLE = """\
 """
 
 
+def watch_parser() -> Parser:
+    """The arguments of `refine watch`."""
+    parser = make_parser("watch", "Follow a refinement to its end; fails if it does.", EXAMPLE)
+    parser.add_argument("id", metavar="ID")
+    return parser
+
+
 @command
 def watch_command(argv: Sequence[str]) -> None:
     """Run `refine watch`."""
-    parser = make_parser("watch", "Follow a refinement to its end; fails if it does.", EXAMPLE)
-    parser.add_argument("id", metavar="ID")
-    arguments = parser.parse_args(argv)
+    arguments = watch_parser().parse_args(argv)
     with connect(arguments) as client:
-        follow(client, client.get(arguments.id), arguments.json, None)
+        see_through(client, client.get(arguments.id), arguments.json, None)
 
 
-def follow(client: RefineClient, refinement: Refinement, as_json: bool, output: Path | None) -> None:
+def see_through(client: RefineClient, refinement: Refinement, as_json: bool, output: Path | None) -> None:
     """Show the refinement to its end, then fetch its artifacts; raises its error if it did not succeed."""
     display = choose_display(as_json)
     display.submitted(refinement)

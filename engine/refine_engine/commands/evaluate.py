@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from refine_proto.commands.ending import BAD_INPUT, fail
+
 if TYPE_CHECKING:
     from ..scores.scores import Scores
     from ..values import Mesh, View
 
-BAD_INPUT = 2
 DESCRIPTION = (
     "Compare a mesh with the ground truth in the same frame; with --coarse also show what was gained."
 )
@@ -45,7 +45,7 @@ ROWS = {  # field of Scores: what the table calls it, digits, whether its change
 
 def eval_command(argv: Sequence[str]) -> int:
     """Run `refine eval` and return its exit code: 0 done, 2 bad input."""
-    parser = _parser()
+    parser = eval_parser()
     arguments = parser.parse_args(argv)
     if (arguments.camera is None) != (arguments.silhouette is None):
         parser.error("expected --camera and --silhouette together: the 2D IoU needs both")
@@ -68,8 +68,7 @@ def eval_command(argv: Sequence[str]) -> int:
             for name, mesh in meshes.items()
         }
     except (InputError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return fail(str(error), BAD_INPUT)
     if arguments.json:
         result = {"normalisation": arguments.normalisation, "seeds": arguments.seeds}
         print(json.dumps(result | {name: asdict(row) for name, row in scores.items()}))
@@ -78,7 +77,8 @@ def eval_command(argv: Sequence[str]) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def eval_parser() -> argparse.ArgumentParser:
+    """The arguments of `refine eval`."""
     parser = argparse.ArgumentParser(
         prog="refine eval",
         description=DESCRIPTION,

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import tempfile
 import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
 
 import torch
 
 from refine_proto.commands.cores import usable_cores
+from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
+from refine_proto.errors import InvalidInput
 from refine_proto.formats import SILHOUETTE_THRESHOLD
 
 from ..artifacts.make import make_artifacts
@@ -30,32 +30,22 @@ def run_command(argv: Sequence[str]) -> int:
     """0 done, 1 failed, 2 bad input; a failure is one line `error: REASON: message` on standard error."""
     try:
         _run(run_parser().parse_args(argv))
-    except InputError as error:
-        return _fail(error.reason, str(error), 2)
+    except (InputError, InvalidInput) as error:
+        return fail(f"{error.reason}: {error}", BAD_INPUT)
     except RefineError as error:
-        return _fail(error.reason, str(error), 1)
+        return fail(f"{error.reason}: {error}", FAILED)
     except (MemoryError, torch.OutOfMemoryError) as error:
-        return _fail("OUT_OF_MEMORY", f"{error}; a mesh with fewer vertices needs less", 1)
+        return fail(f"OUT_OF_MEMORY: {error}; a mesh with fewer vertices needs less", FAILED)
     except Exception as error:  # a bug of ours: say where, the user can report that
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(place.filename).name}:{place.lineno}"
-        return _fail("INTERNAL", f"{type(error).__name__}: {error} ({where})", 1)
+        return fail(f"INTERNAL: {type(error).__name__}: {error} ({where})", FAILED)
     return 0
 
 
-def _fail(reason: str, message: str, code: int) -> int:
-    print(f"error: {reason}: {' '.join(message.split())}", file=sys.stderr)
-    return code
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise OptionsInvalid(f"{message}; refine run --help explains the options")
-
-
-def run_parser() -> argparse.ArgumentParser:
+def run_parser() -> Parser:
     """The arguments of `refine run`."""
-    parser = _Parser(
+    parser = Parser(
         prog="refine run",
         description="Refine a coarse mesh so that it agrees with its silhouette and stays plausible.",
         epilog="docs/conventions.md of the project explains cameras, silhouettes and units.",

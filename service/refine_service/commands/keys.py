@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 
 from refine_jobs.settings import JobSettings
+from refine_proto.commands.ending import FAILED
 
 from ..edge.auth import ApiKeys
 from ..settings import ServiceSettings
-from .common import FAILED, command, environment, make_parser
+from .arguments import command, environment, make_parser
 
 
-@command
-def keys_command(argv: Sequence[str]) -> int:
-    """add OWNER, list, revoke ID. Running services see the change at once."""
+def keys_parser() -> argparse.ArgumentParser:
+    """The arguments of `refine keys`."""
     parser = make_parser("keys", "Make, show and revoke API keys. A key is shown once, when it is made.")
     parser.add_argument("--keys-file", metavar="FILE", help="unset: keys.json in the data folder")
     actions = parser.add_subparsers(dest="action", required=True)
     actions.add_parser("add", help="make a key").add_argument("owner", help="whose jobs it reaches")
     actions.add_parser("list", help="show ids, owners and dates")
     actions.add_parser("revoke", help="refuse a key from now on").add_argument("id", help="as shown by list")
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+@command
+def keys_command(argv: Sequence[str]) -> int:
+    """add OWNER, list, revoke ID. Running services see the change at once."""
+    arguments = keys_parser().parse_args(argv)
     values = environment(arguments)
     settings = ServiceSettings.from_environment(values)
     keys = ApiKeys(settings.keys_path(JobSettings.from_environment(values).data_folder))

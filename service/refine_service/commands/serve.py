@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import contextlib
-import importlib.util
 import signal
 import sys
 from collections import Counter
@@ -18,29 +18,32 @@ from refine_jobs.health import Health
 from refine_jobs.redis_server import check_server, connect, connect_async
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState
+from refine_proto.commands.ending import FAILED
 from refine_proto.errors import Unavailable
 
 from ..settings import ServiceSettings
-from .common import BAD_INPUT, FAILED, add_listen_arguments, command, environment, make_parser
+from .arguments import add_listen_arguments, command, environment, make_parser
 
 _STOP_S = 60.0  # the worker gives its jobs back and the service drains in less
 _LOOK_S = 0.25
 _SHOWN_LINES = 10  # of the log of a process that has ended by itself
 
 
-@command
-def serve_command(argv: Sequence[str]) -> int:
-    """Runs until SIGTERM or Ctrl-C (0), or until one of the processes ends by itself (1)."""
+def serve_parser() -> argparse.ArgumentParser:
+    """The arguments of `refine serve`."""
     parser = make_parser("serve", "Run everything on this machine: Redis, the service and the worker.")
     add_listen_arguments(parser)
     parser.add_argument("--devices", help="for the worker: auto (the default), cpu, cuda, cuda:0,cuda:1")
     parser.add_argument("--slots-per-device", metavar="N", help="jobs at a time on one device")
-    values = environment(parser.parse_args(argv))
+    return parser
+
+
+@command
+def serve_command(argv: Sequence[str]) -> int:
+    """Runs until SIGTERM or Ctrl-C (0), or until one of the processes ends by itself (1)."""
+    values = environment(serve_parser().parse_args(argv))
     jobs = JobSettings.from_environment(values)
     ServiceSettings.from_environment(values)  # tell now what the service could not read
-    if importlib.util.find_spec("refine_worker") is None:
-        print("error: expected the worker; pip install 'refine-mesh[all]'", file=sys.stderr)
-        return BAD_INPUT
     with ExitStack() as stack:
         if jobs.redis_url is None:
             redis_url = stack.enter_context(EmbeddedRedis(jobs.data_folder / "redis")).url

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import logging
 import os
@@ -15,17 +16,17 @@ import redis.exceptions
 from refine_jobs.logs import configure_logs
 from refine_jobs.redis_server import check_server, connect
 from refine_jobs.settings import JobSettings
+from refine_proto.commands.ending import BAD_INPUT
 
 from ..server import run_service
 from ..settings import ServiceSettings
-from .common import BAD_INPUT, add_listen_arguments, command, environment, make_parser
+from .arguments import add_listen_arguments, command, environment, make_parser
 
 log = logging.getLogger(__name__)
 
 
-@command
-def service_command(argv: Sequence[str]) -> int:
-    """Runs until SIGTERM or Ctrl-C; logs go to standard error, the addresses to standard output."""
+def service_parser() -> argparse.ArgumentParser:
+    """The arguments of `refine service`."""
     parser = make_parser(
         "service", "Run the REST and gRPC service. It needs REFINE_REDIS_URL; `refine serve` does not."
     )
@@ -33,7 +34,13 @@ def service_command(argv: Sequence[str]) -> int:
     parser.add_argument(
         "--stop-with-stdin", action="store_true", help="stop when standard input closes, as if by SIGTERM"
     )
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+@command
+def service_command(argv: Sequence[str]) -> int:
+    """Runs until SIGTERM or Ctrl-C; logs go to standard error, the addresses to standard output."""
+    arguments = service_parser().parse_args(argv)
     values = environment(arguments)
     jobs, settings = JobSettings.from_environment(values), ServiceSettings.from_environment(values)
     if jobs.redis_url is None:

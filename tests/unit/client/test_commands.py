@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from server_double import ARTIFACTS, STEPS, Script
 
-from refine_client.commands.records import (
+from refine_client.commands.refinements import (
     cancel_command,
     delete_command,
     download_command,

@@ -35,14 +35,14 @@ class Attempt:
         self._progress: Progress | None = None  # not reported yet
         self._cancelled_at: float | None = None
 
-    def follow(self) -> Done:
+    def run(self) -> Done:
         """Wait for the result.
 
         Raises an error of refine_proto.errors for the job, Stopped, or LeaseLost. After all of them the
         engine process is idle or gone.
         """
         try:
-            ended = self._follow()
+            ended = self._run()
         except EngineDied as died:
             raise died.error from None
         except BaseException:  # LeaseLost, a limit, a signal: it is still at work
@@ -54,7 +54,7 @@ class Attempt:
             self._slot.engine.kill()
         raise error_class(ended.reason)(ended.detail)
 
-    def _follow(self) -> Done | Failed:
+    def _run(self) -> Done | Failed:
         engine, job = self._slot.engine, self._job
         engine.run(Run(job_id=job.id, attempt=job.attempt, spec=job.spec, log_fields=fields_of(job)))
         next_tick = self._started + _TICK_S

@@ -50,7 +50,7 @@ def _work(slot: Slot, job: Job) -> Callable[[], object]:
     """Do the job; how its end is to be written. Raises LeaseLost."""
     failure: RefineError
     try:
-        done = Attempt(slot, job).follow()
+        done = Attempt(slot, job).run()
         return partial(slot.store.finish, job, done.artifacts, done.silhouette_iou)
     except LeaseLost:
         raise

@@ -6,26 +6,38 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from refine_proto.commands.ending import Parser
 from refine_proto.models import Refinement
 
-from .common import Parser, command, connect, make_parser
+from .server_command import command, connect, make_parser
+
+
+def get_parser() -> Parser:
+    """The arguments of `refine get`."""
+    return _with_id("get", "Show one refinement.")
 
 
 @command
 def get_command(argv: Sequence[str]) -> None:
     """Run `refine get`."""
-    arguments = _with_id("get", "Show one refinement.").parse_args(argv)
+    arguments = get_parser().parse_args(argv)
     with connect(arguments) as client:
         _show(client.get(arguments.id), arguments.json)
+
+
+def list_parser() -> Parser:
+    """The arguments of `refine list`."""
+    parser = make_parser(
+        "list", "List your refinements, newest first.", "  refine list --limit 100 --json | jq -r .id"
+    )
+    parser.add_argument("--limit", type=int, default=20, metavar="N", help="how many (20)")
+    return parser
 
 
 @command
 def list_command(argv: Sequence[str]) -> None:
     """Run `refine list`."""
-    parser = make_parser(
-        "list", "List your refinements, newest first.", "  refine list --limit 100 --json | jq -r .id"
-    )
-    parser.add_argument("--limit", type=int, default=20, metavar="N", help="how many (20)")
+    parser = list_parser()
     arguments = parser.parse_args(argv)
     if arguments.limit < 1:
         parser.error(f"expected --limit of at least 1, got {arguments.limit}")
@@ -40,34 +52,47 @@ def list_command(argv: Sequence[str]) -> None:
                 break
 
 
+def cancel_parser() -> Parser:
+    """The arguments of `refine cancel`."""
+    return _with_id("cancel", "Cancel a queued or running refinement; one that has ended stays as it is.")
+
+
 @command
 def cancel_command(argv: Sequence[str]) -> None:
     """Run `refine cancel`."""
-    parser = _with_id("cancel", "Cancel a queued or running refinement; one that has ended stays as it is.")
-    arguments = parser.parse_args(argv)
+    arguments = cancel_parser().parse_args(argv)
     with connect(arguments) as client:
         _show(client.cancel(arguments.id), arguments.json)
+
+
+def delete_parser() -> Parser:
+    """The arguments of `refine delete`."""
+    return _with_id("delete", "Remove a refinement and its files; a running one must be cancelled first.")
 
 
 @command
 def delete_command(argv: Sequence[str]) -> None:
     """Run `refine delete`."""
-    parser = _with_id("delete", "Remove a refinement and its files; a running one must be cancelled first.")
-    arguments = parser.parse_args(argv)
+    arguments = delete_parser().parse_args(argv)
     with connect(arguments) as client:
         client.delete(arguments.id)
     print(json.dumps({"id": arguments.id, "deleted": True}) if arguments.json else f"{arguments.id} deleted")
 
 
-@command
-def download_command(argv: Sequence[str]) -> None:
-    """Run `refine download`."""
+def download_parser() -> Parser:
+    """The arguments of `refine download`."""
     example = "  refine download ID -o out\n  refine download ID refined.glb report.json -o out"
     parser = make_parser("download", "Fetch the artifacts of a refinement, each checked and whole.", example)
     parser.add_argument("id", metavar="ID")
     parser.add_argument("names", nargs="*", metavar="NAME", help="which artifacts (all)")
     parser.add_argument("-o", "--output", type=Path, default=Path(), metavar="DIR", help="where to (here)")
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+@command
+def download_command(argv: Sequence[str]) -> None:
+    """Run `refine download`."""
+    arguments = download_parser().parse_args(argv)
     with connect(arguments) as client:
         files = client.download(arguments.id, arguments.output, arguments.names or None)
     paths = {name: str(path) for name, path in files.items()}

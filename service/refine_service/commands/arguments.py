@@ -1,4 +1,4 @@
-"""What the commands share: arguments that are settings, and how an error ends a command."""
+"""Arguments that are settings, and how a command ends whose settings cannot be used."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from pydantic import ValidationError
 
 from refine_jobs.embedded import EmbeddedRedisError
 from refine_jobs.redis_server import RedisUnfit
+from refine_proto.commands.ending import BAD_INPUT
 
 from ..edge.auth import KeysFileInvalid
-
-FAILED = 1
-BAD_INPUT = 2
 
 
 def make_parser(command: str, description: str) -> argparse.ArgumentParser:

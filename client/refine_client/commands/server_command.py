@@ -1,20 +1,17 @@
-"""What the commands share: the parser, the connection, and how an error ends a command."""
+"""What the commands that call a server share: their arguments, the connection, and how an error ends one."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import NoReturn
 
+from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
 from refine_proto.errors import InvalidInput, RefineError, Refused
 
 from ..address import DEFAULT_SERVER
 from ..client import RefineClient
 
-FAILED = 1
-BAD_INPUT = 2
 SERVER_HELP = f"""\
 server
   --server URL, else the variable REFINE_SERVER, else {DEFAULT_SERVER}
@@ -22,13 +19,6 @@ server
   the variable REFINE_API_KEY signs in
 exit codes: 0 done, 1 the job or the server failed, 2 bad input
 """
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaints are InvalidInput, told like every other error."""
-
-    def error(self, message: str) -> NoReturn:
-        raise InvalidInput(f"{message}; {self.prog} --help explains the arguments")
 
 
 def make_parser(command: str, description: str, example: str) -> Parser:
@@ -60,19 +50,12 @@ def command(
         except RefineError as error:
             request = f" (request {error.request_id})" if error.request_id else ""
             code = BAD_INPUT if isinstance(error, (InvalidInput, Refused)) else FAILED
-            return _fail(f"{error.reason}: {error.detail}{request}", code)
+            return fail(f"{error.reason}: {error.detail}{request}", code)
         except TimeoutError as error:
-            return _fail(f"TIMEOUT: {error}", FAILED)
+            return fail(f"TIMEOUT: {error}", FAILED)
         except OSError as error:
             name = f"{error.filename}: " if error.filename else ""
-            return _fail(f"INPUT_INVALID: {name}{error.strerror or error}", BAD_INPUT)
+            return fail(f"INPUT_INVALID: {name}{error.strerror or error}", BAD_INPUT)
         return 0
 
     return with_exit_code
-
-
-def _fail(message: str, code: int) -> int:
-    """One line without control characters, whatever a server sent."""
-    line = " ".join("".join(c if c.isprintable() else " " for c in message).split())
-    print(f"error: {line}", file=sys.stderr)
-    return code
