@@ -6,6 +6,7 @@ whose result is the exit code: 0 done, 1 failed, 2 bad input. Only the one asked
 """
 
 import difflib
+import importlib.util
 import sys
 from collections.abc import Callable, Sequence
 from importlib import metadata
@@ -17,18 +18,17 @@ INTERRUPTED = 130  # what a shell reports for a process that ended on Ctrl-C
 
 class Command(NamedTuple):
     help: str
-    extra: str = ""  # the extra of the distribution that brings it; empty: the base install
+    extras: tuple[str, ...] = ()  # of the distribution, that bring it; none: the base install
 
 
 COMMANDS = {
-    "run": Command("refine one mesh in this process", "engine"),
-    "eval": Command("compare a mesh with the ground truth: EMD, Chamfer-l2, F-score, IoU", "engine"),
-    "bench": Command("refine and score a whole data set", "bench"),
-    "demo": Command("refine the sample through a server started for it", "all"),
-    "serve": Command("run everything here: Redis, service and worker", "service"),
-    "service": Command("run the REST and gRPC service", "service"),
-    "keys": Command("create and revoke API keys", "service"),
-    "worker": Command("run worker slots", "worker"),
+    "run": Command("refine one mesh in this process", ("engine",)),
+    "eval": Command("compare a mesh with the ground truth: EMD, Chamfer-l2, F-score, IoU", ("engine",)),
+    "bench": Command("refine and score a whole data set", ("bench",)),
+    "serve": Command("run everything here: Redis, service and worker", ("service", "worker")),
+    "service": Command("run the REST and gRPC service", ("service",)),
+    "keys": Command("create and revoke API keys", ("service",)),
+    "worker": Command("run worker slots", ("worker",)),
     "submit": Command("send a mesh, a silhouette and a camera to a server"),
     "get": Command("show one refinement"),
     "list": Command("list refinements"),
@@ -36,12 +36,23 @@ COMMANDS = {
     "cancel": Command("cancel a refinement"),
     "delete": Command("remove a refinement and its files"),
     "download": Command("fetch the artifacts of a refinement"),
+    "docs": Command("print a page of the documentation"),
+    "completion": Command("let the shell complete commands and options"),
+}
+# What tells that an extra is installed: found without being imported, before a command starts anything.
+MODULES_OF_EXTRA = {
+    "bench": ("torch", "manifold3d"),
+    "engine": ("torch",),
+    "service": ("fastapi",),
+    "worker": ("torch", "rq"),
 }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one subcommand and returns the exit code; a KeyboardInterrupt becomes 130 without a traceback."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == ["help"] and len(arguments) > 1:
+        arguments = [*arguments[1:], "--help"]
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(_help())
         return 0 if arguments else 2
@@ -67,25 +78,43 @@ def _run(name: str, argv: Sequence[str]) -> int:
         near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else "refine --help lists them"
         raise _NotRunnable(f"expected a command of refine, got {name!r}; {hint}")
-    extra = COMMANDS[name].extra
-    install = f"pip install '{DISTRIBUTION}[{extra}]'" if extra else f"pip install --upgrade {DISTRIBUTION}"
-    entry_point = _installed().get(name)
+    entry_point = installed_commands().get(name)
     if entry_point is None:
-        raise _NotRunnable(f"refine {name} is not part of this installation; {install}")
+        raise _NotRunnable(
+            f"refine {name} is not part of this installation of {DISTRIBUTION}; install it again"
+        )
+    for module in (module for extra in COMMANDS[name].extras for module in MODULES_OF_EXTRA[extra]):
+        if not _is_installed(module):
+            raise _NotRunnable(_needs(name, module))
     try:
         command: Callable[[Sequence[str]], int] = entry_point.load()
         return command(argv)
     except ModuleNotFoundError as error:  # some commands import what they need when they run
-        raise _NotRunnable(f"refine {name} needs {error.name}, which is not installed; {install}") from error
+        raise _NotRunnable(_needs(name, error.name)) from error
 
 
-def _installed() -> dict[str, metadata.EntryPoint]:
+def _is_installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ImportError:  # from what hides modules
+        return False
+
+
+def _needs(name: str, module: str | None) -> str:
+    # pip finds the distribution installed and adds the extra to it, wherever it came from.
+    extras = ",".join(COMMANDS[name].extras)
+    wanted = f"{DISTRIBUTION}[{extras}]" if extras else DISTRIBUTION
+    return f"refine {name} needs {module}, which is not installed; pip install '{wanted}'"
+
+
+def installed_commands() -> dict[str, metadata.EntryPoint]:
+    """The entry points of the installation, by the name of their command."""
     return {entry_point.name: entry_point for entry_point in metadata.entry_points(group="refine.commands")}
 
 
 def _help() -> str:
-    installed = _installed()
-    rows = [f"  {name:<10}{command.help}" for name, command in COMMANDS.items() if name in installed]
+    installed = installed_commands()
+    rows = [f"  {name:<12}{command.help}" for name, command in COMMANDS.items() if name in installed]
     return "\n".join(
         [
             "usage: refine COMMAND [ARGUMENTS]",
@@ -94,6 +123,6 @@ def _help() -> str:
             "",
             *rows,
             "",
-            "refine COMMAND --help explains a command; refine --version prints the version.",
+            "refine help COMMAND explains a command, refine docs the whole; refine --version is the version.",
         ]
     )

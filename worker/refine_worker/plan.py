@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict
 from .settings import WorkerSettings
 
 SLOTS_PER_CUDA_DEVICE = 4
+NEVER_READY = 3  # exit code of a slot process whose engine process could not start, before its first job
 _CUDA_DRIVERS = ("/dev/nvidiactl", "/dev/dxg")  # Linux, and Linux below Windows
 _PROBE = "import torch; print(torch.cuda.device_count())"
 _PROBE_TIMEOUT_S = 120

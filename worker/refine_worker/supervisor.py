@@ -25,10 +25,10 @@ from refine_jobs.redis_server import RedisUnfit, check_server, connect
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
 from refine_proto.commands.cores import usable_cores
-from refine_proto.commands.ending import BAD_INPUT
+from refine_proto.commands.ending import BAD_INPUT, FAILED
 
 from .lifeline import stop_with_parent
-from .plan import PlanError, SlotPlan, find_cuda_devices, plan_slots
+from .plan import NEVER_READY, PlanError, SlotPlan, find_cuda_devices, plan_slots
 from .settings import WorkerSettings
 
 _POLL_S = 0.2
@@ -45,7 +45,7 @@ def worker_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="refine worker",
         description="Run worker slots: they take jobs from the queue and refine them.",
-        epilog="Settings are environment variables (REFINE_REDIS_URL, REFINE_DEVICES, ...): docs/worker.md",
+        epilog="Settings are variables (REFINE_REDIS_URL, REFINE_DEVICES, ...): refine docs worker",
     )
     parser.add_argument(
         "--stop-with-stdin", action="store_true", help="stop when standard input closes, as if by SIGTERM"
@@ -54,7 +54,7 @@ def worker_parser() -> argparse.ArgumentParser:
 
 
 def worker_command(argv: Sequence[str]) -> int:
-    """0 stopped as asked, 2 the settings cannot be used."""
+    """0 stopped as asked, 1 no slot can start, 2 the settings cannot be used."""
     options = worker_parser().parse_args(argv)
     try:
         supervisor = _build()
@@ -63,8 +63,7 @@ def worker_command(argv: Sequence[str]) -> int:
         return BAD_INPUT
     if options.stop_with_stdin:
         stop_with_parent()
-    supervisor.run()
-    return 0
+    return supervisor.run()
 
 
 def _build() -> Supervisor:
@@ -98,6 +97,8 @@ class _SlotProcess:
     def __init__(self, plan: SlotPlan) -> None:
         self.plan = plan
         self._pause_s = _FIRST_PAUSE_S
+        self._starts = 0
+        self.failed_at_first = False
         self._start()
 
     def _start(self) -> None:
@@ -107,6 +108,7 @@ class _SlotProcess:
             stdin=subprocess.PIPE,
             start_new_session=True,
         )
+        self._starts += 1
         self._started = time.monotonic()
         self._restart_at: float | None = None
 
@@ -115,6 +117,7 @@ class _SlotProcess:
         if code is None:
             return
         if self._restart_at is None:
+            self.failed_at_first |= code == NEVER_READY and self._starts == 1
             self._pause_s = _FIRST_PAUSE_S if now - self._started > _STABLE_S else self._pause_s * 2
             self._pause_s = min(self._pause_s, _LONGEST_PAUSE_S)
             self._restart_at = now + self._pause_s
@@ -132,15 +135,20 @@ class Supervisor:
         self._plans, self._store, self._blobs, self._stop_grace_s = plans, store, blobs, stop_grace_s
         self._signals = 0
 
-    def run(self) -> None:
-        """Serve until told to stop."""
+    def run(self) -> int:
+        """Serve until told to stop: 0, or 1 if not one slot could start at all."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._on_signal)
         threading.Thread(target=self._reap_forever, name="reaper", daemon=True).start()
         slots = [_SlotProcess(plan) for plan in self._plans]
+        code = 0
         while not self._signals:
             for slot in slots:
                 slot.keep_alive()
+            if all(slot.failed_at_first for slot in slots):
+                log.error("no slot could start its engine process; what it needs is missing or broken")
+                code = FAILED
+                self._signals += 1  # stop as if told to
             time.sleep(_POLL_S)
         self._stop([slot.process for slot in slots])
         for plan in self._plans:
@@ -149,6 +157,7 @@ class Supervisor:
             except RedisError:
                 break  # they disappear by themselves
         print("refine worker: stopped", flush=True)
+        return code
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self._signals += 1

@@ -23,7 +23,7 @@ EXAMPLE = """\
 
 camera.json
   {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9, "fov_y_degrees": 60}
-  or a matrix: docs/conventions.md
+  or a matrix: refine docs conventions
 """
 _OPTIONS = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold")
 

@@ -48,7 +48,7 @@ def run_parser() -> Parser:
     parser = Parser(
         prog="refine run",
         description="Refine a coarse mesh so that it agrees with its silhouette and stays plausible.",
-        epilog="docs/conventions.md of the project explains cameras, silhouettes and units.",
+        epilog="`refine docs conventions` explains cameras, silhouettes and units.",
     )
     parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
     parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")

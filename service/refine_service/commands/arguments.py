@@ -22,7 +22,7 @@ def make_parser(command: str, description: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"refine {command}",
         description=description,
-        epilog="--data-folder is also REFINE_DATA_FOLDER, and so on; docs/operating.md has every setting",
+        epilog="--data-folder is also REFINE_DATA_FOLDER, and so on; every setting: refine docs operating",
     )
     parser.add_argument("--data-folder", metavar="DIR", help="for the embedded Redis, blobs and API keys")
     return parser

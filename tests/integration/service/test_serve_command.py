@@ -51,6 +51,19 @@ def test_a_process_that_dies_ends_all(tmp_path: Path) -> None:
         assert [process for process in family if process.is_running()] == []
 
 
+def test_an_engine_that_cannot_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "torch").mkdir()
+    (tmp_path / "torch/__init__.py").write_text("raise ImportError('a library of the driver is missing')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with serve(tmp_path / "data") as served:
+        assert served.process.wait(90) == 1
+        assert served.process.stderr is not None
+        told = served.process.stderr.read()
+    assert "error: the worker ended with code 1" in told
+    assert "ImportError: a library of the driver is missing" in told
+    assert "no slot could start its engine process" in told
+
+
 def test_no_orphan_of_a_killed_serve(tmp_path: Path) -> None:
     with serve(tmp_path) as served:
         family = served.family()

@@ -19,7 +19,7 @@ from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
 
 from ..lifeline import stop_with_parent
-from ..plan import SlotPlan
+from ..plan import NEVER_READY, SlotPlan
 from ..settings import WorkerSettings
 from .engine_process import EngineProcess, EngineStartFailed
 from .slot import SLOT, Slot
@@ -57,7 +57,7 @@ class SlotWorker(SimpleWorker):
 
 
 def main(argv: Sequence[str] = sys.argv) -> int:
-    """Run a slot until it is told to stop: 0, or 1 if its engine process cannot start."""
+    """Run a slot until it is told to stop: 0, NEVER_READY, or 1 if a later engine process cannot start."""
     plan = SlotPlan.model_validate_json(argv[1])
     configure_logs(slot=plan.name)
     stop_with_parent()
@@ -67,8 +67,10 @@ def main(argv: Sequence[str] = sys.argv) -> int:
     engine = EngineProcess(plan, settings, jobs.blob_location)
     slot = Slot(plan, WorkerStore(connect(url), jobs), engine, settings)
     SLOT.set(slot)
+    ended_early = NEVER_READY
     try:
         slot.prepare()
+        ended_early = 1
         print(f"slot {plan.name}: ready on {plan.device}, threads: {plan.threads}", flush=True)
         rq_connection = connect_for_rq(url)
         worker = SlotWorker(
@@ -80,7 +82,7 @@ def main(argv: Sequence[str] = sys.argv) -> int:
         worker.work(logging_level="WARNING")
     except EngineStartFailed as error:
         log.error("%s", error)
-        return 1
+        return ended_early
     finally:
         slot.close()
     return 0
