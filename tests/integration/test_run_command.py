@@ -1,8 +1,10 @@
 """`refine run` from files to files, on a box of 8 vertices and a few iterations."""
 
+import hashlib
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -14,8 +16,10 @@ import pytest
 from PIL import Image
 
 from refine_engine.commands import run
+from refine_engine.errors import Diverged
 from refine_engine.files.mesh_file import read_mesh
 from refine_engine.request import Inputs
+from refine_proto.models import Event, EventType, State
 
 ARTIFACTS = [
     "confidence.glb",
@@ -75,6 +79,10 @@ def test_all_artifacts_and_nothing_else(inputs: Path, capsys: pytest.CaptureFixt
     assert files(inputs) == sorted([*before, "out"])
     shown = capsys.readouterr()
     assert sorted(shown.out.splitlines()[1:]) == [str(inputs / "out" / name) for name in ARTIFACTS]
+    assert re.fullmatch(
+        r"box\.obj succeeded, 2D IoU 0\.\d{3} -> 0\.\d{3} in \d+\.\d s", shown.out.splitlines()[0]
+    )
+    assert shown.err.splitlines()[0] == "running"
     assert "iteration 3/3" in shown.err
 
 
@@ -115,17 +123,55 @@ def test_same_seed_gives_the_same_bytes(inputs: Path) -> None:
     assert refined("2") != first
 
 
-def test_json_lines(inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run.run_command(arguments(inputs, "--json")) == 0
-    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    *progress, completed = events
-    assert {event["event"] for event in progress} == {"progress"}
-    assert progress[-1]["iteration"] == progress[-1]["total"] == 3
-    assert progress[-1]["percent"] == 100
-    assert progress[-1]["losses"]["total"] > 0
-    assert completed["event"] == "completed"
-    assert sorted(completed["artifacts"]) == ARTIFACTS
-    assert set(completed["silhouette_iou"]) == {"before", "after"}
+def events_of(lines: Sequence[str]) -> list[Event]:
+    """The contract's events, and nothing beside them."""
+    events = [Event.model_validate_json(line) for line in lines]
+    assert [json.loads(event.model_dump_json(exclude_none=True)) for event in events] == [
+        json.loads(line) for line in lines
+    ]
+    assert [event.sequence for event in events] == list(range(1, len(events) + 1))
+    return events
+
+
+def test_json_is_that_of_refine_submit(inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run.run_command(arguments(inputs, "--json", "--seed", "7")) == 0
+    printed, shown = capsys.readouterr()
+    assert shown == ""
+    *lines, last = printed.splitlines()
+    started, *progress, completed = events_of(lines)
+    assert (started.type, started.state) == (EventType.STATE, State.RUNNING)
+    assert {event.type for event in progress} == {EventType.PROGRESS}
+    assert progress[-1].progress is not None
+    assert (progress[-1].progress.iteration, progress[-1].progress.percent) == (3, 100)
+    assert progress[-1].progress.losses["total"] > 0
+    refinement = completed.refinement
+    assert refinement is not None
+    assert (refinement.id, refinement.state) == ("box.obj", State.SUCCEEDED)
+    assert (refinement.options.seed, refinement.options.iterations) == (7, 3)
+    assert refinement.silhouette_iou is not None
+    assert sorted(artifact.name for artifact in refinement.artifacts) == ARTIFACTS
+    for artifact in refinement.artifacts:
+        data = (inputs / "out" / artifact.name).read_bytes()
+        assert (artifact.size_bytes, artifact.sha256) == (len(data), hashlib.sha256(data).hexdigest())
+    files = {artifact.name: str(inputs / "out" / artifact.name) for artifact in refinement.artifacts}
+    assert json.loads(last) == {"type": "artifacts", "artifacts": files}
+
+
+def test_json_of_a_failed_run_ends_with_its_error(
+    inputs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def diverge(*_: object) -> NoReturn:
+        raise Diverged("expected a finite loss, got nan")
+
+    monkeypatch.setattr(Inputs, "refine", diverge)
+    assert run.run_command(arguments(inputs, "--json")) == 1
+    printed, shown = capsys.readouterr()
+    _, completed = events_of(printed.splitlines())
+    assert completed.refinement is not None
+    assert completed.refinement.state is State.FAILED
+    assert completed.refinement.error is not None
+    assert completed.refinement.error.reason == "DIVERGED"
+    assert shown == "error: DIVERGED: expected a finite loss, got nan\n"
 
 
 def test_an_existing_folder_gets_the_new_artifacts(inputs: Path) -> None:
@@ -242,7 +288,8 @@ def test_a_bug_is_one_line_too(
 
     monkeypatch.setattr(Inputs, "refine", broken)
     assert run.run_command(arguments(inputs)) == 1
-    (line,) = capsys.readouterr().err.splitlines()
+    *before, line = capsys.readouterr().err.splitlines()
+    assert before == ["running", "failed"]
     assert line.startswith("error: INTERNAL: ZeroDivisionError: nothing to divide by (test_run_command.py:")
     assert not (inputs / "out").exists()
 

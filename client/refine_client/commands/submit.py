@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
 from refine_proto.cameras import CAMERA_SPEC, CameraSpec
 from refine_proto.commands.ending import Parser
+from refine_proto.commands.options import add_options, read_options
 from refine_proto.errors import from_validation
-from refine_proto.models import MeshFormat, Preset
+from refine_proto.models import MeshFormat
 
 from .server_command import command, connect, make_parser
 from .watch import see_through
@@ -25,7 +25,6 @@ camera.json
   {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9, "fov_y_degrees": 60}
   or a matrix: refine docs conventions
 """
-_OPTIONS = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold")
 
 
 @command
@@ -33,7 +32,7 @@ def submit_command(argv: Sequence[str]) -> None:
     """Run `refine submit`."""
     arguments = submit_parser().parse_args(argv)
     camera = _read_camera(arguments.camera)
-    options: dict[str, Any] = {name: getattr(arguments, name) for name in (*_OPTIONS, "timeout_s")}
+    options = read_options(arguments)
     if arguments.output is not None:
         arguments.output.mkdir(parents=True, exist_ok=True)  # before the job, not after it
     with connect(arguments) as client:
@@ -41,7 +40,7 @@ def submit_command(argv: Sequence[str]) -> None:
             arguments.mesh,
             arguments.silhouette,
             camera,
-            {name: value for name, value in options.items() if value is not None},
+            options,
             mesh_format=arguments.mesh_format,
             idempotency_key=arguments.idempotency_key,
         )
@@ -81,20 +80,7 @@ def submit_parser() -> Parser:
     parser.add_argument(
         "--idempotency-key", metavar="KEY", help="the same key and content give the same refinement"
     )
-    _add_options(parser)
+    add_options(parser).add_argument(
+        "--timeout-s", type=float, metavar="S", help="longest running time (the server's)"
+    )
     return parser
-
-
-def _add_options(parser: Parser) -> None:
-    group = parser.add_argument_group("how to refine (default: the server's)")
-    group.add_argument("--preset", choices=list(Preset), metavar="PRESET", help=", ".join(Preset))
-    group.add_argument("--iterations", type=int, metavar="N", help="optimisation steps")
-    group.add_argument("--seed", type=int, metavar="N", help="of the network's weights")
-    group.add_argument(
-        "--symmetry-normal", type=float, nargs=3, metavar=("X", "Y", "Z"), help="of the mirror plane"
-    )
-    group.add_argument("--symmetry-offset", type=float, metavar="D", help="of the mirror plane, world units")
-    group.add_argument(
-        "--silhouette-threshold", type=float, metavar="T", help="share of full scale above which is object"
-    )
-    group.add_argument("--timeout-s", type=float, metavar="S", help="longest running time")

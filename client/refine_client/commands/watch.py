@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from refine_proto.commands.display import choose_display
 from refine_proto.commands.ending import Parser
 from refine_proto.models import Refinement
 
 from ..client import RefineClient
 from ..errors import error_of
-from .display import choose_display
 from .server_command import command, connect, make_parser
 
 EXAMPLE = """\
@@ -46,4 +46,4 @@ def see_through(client: RefineClient, refinement: Refinement, as_json: bool, out
         raise error
     display.finish(refinement)
     if output is not None:
-        display.downloaded(client.download(refinement.id, output))
+        display.written(client.download(refinement.id, output))

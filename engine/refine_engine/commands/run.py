@@ -11,36 +11,46 @@ from pathlib import Path
 
 import torch
 
+from refine_proto import errors as contract
 from refine_proto.commands.cores import usable_cores
+from refine_proto.commands.display import Display, choose_display
 from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
-from refine_proto.errors import InvalidInput
-from refine_proto.formats import SILHOUETTE_THRESHOLD
+from refine_proto.commands.options import add_options, read_options
+from refine_proto.models import Refinement
 
 from ..artifacts.make import make_artifacts
 from ..cameras.spec import read_camera
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..method.config import RefineConfig
-from ..method.presets import PRESETS, make_config
+from ..method.presets import make_config
 from ..request import Inputs, read_inputs
-from ..values import Result
-from .display import Display, choose_display
+from .events import RunEvents
 
 
 def run_command(argv: Sequence[str]) -> int:
     """0 done, 1 failed, 2 bad input; a failure is one line `error: REASON: message` on standard error."""
     try:
         _run(run_parser().parse_args(argv))
-    except (InputError, InvalidInput) as error:
-        return fail(f"{error.reason}: {error}", BAD_INPUT)
-    except RefineError as error:
-        return fail(f"{error.reason}: {error}", FAILED)
-    except (MemoryError, torch.OutOfMemoryError) as error:
-        return fail(f"OUT_OF_MEMORY: {error}; a mesh with fewer vertices needs less", FAILED)
-    except Exception as error:  # a bug of ours: say where, the user can report that
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(place.filename).name}:{place.lineno}"
-        return fail(f"INTERNAL: {type(error).__name__}: {error} ({where})", FAILED)
+    except Exception as error:
+        told = _told(error)
+        code = BAD_INPUT if isinstance(told, contract.InvalidInput) else FAILED
+        return fail(f"{told.reason}: {told.detail}", code)
     return 0
+
+
+def _told(error: Exception) -> contract.RefineError:
+    """The error in the words of the contract."""
+    match error:
+        case contract.RefineError():
+            return error
+        case RefineError():
+            return contract.error_class(error.reason)(str(error))
+        case MemoryError() | torch.OutOfMemoryError():
+            return contract.OutOfMemory(f"{error}; a mesh with fewer vertices needs less")
+        case _:  # a bug of ours: say where, the user can report that
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{Path(place.filename).name}:{place.lineno}"
+            return contract.Internal(f"{type(error).__name__}: {error} ({where})")
 
 
 def run_parser() -> Parser:
@@ -55,66 +65,55 @@ def run_parser() -> Parser:
     parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="for the artifacts")
     parser.add_argument(
-        "--preset", choices=list(PRESETS), default="default", help="the numbers of the method"
-    )
-    parser.add_argument("--iterations", type=int, metavar="N", help="default: the preset's")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the network's weights (0)")
-    parser.add_argument(
-        "--symmetry-normal", type=float, nargs=3, default=(0.0, 0.0, 1.0), metavar=("X", "Y", "Z"),
-        help="normal of the mirror plane, world axes (0 0 1)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--symmetry-offset", type=float, metavar="D",
-        help="of the mirror plane along its normal, world units (default: the coarse mesh decides)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--silhouette-threshold", type=float, default=SILHOUETTE_THRESHOLD, metavar="T",
-        help="pixels above this share of full scale are the object (%(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
         "--device", choices=["auto", "cpu", "cuda"], default="auto", help="auto: CUDA if present"
     )
     parser.add_argument(
         "--threads", type=int, default=usable_cores(), metavar="N", help="default: all cores (%(default)s)"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object per line on standard output")
+    add_options(parser)
     return parser
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(arguments: argparse.Namespace) -> None:
+    options = read_options(arguments)
     config = make_config(
-        options.preset,
-        options.iterations,
-        options.seed,
-        tuple(options.symmetry_normal),
-        options.symmetry_offset,
+        options.preset, options.iterations, options.seed, options.symmetry_normal, options.symmetry_offset
     )
-    device = _device(options.device)
-    if options.threads < 1:
-        raise OptionsInvalid(f"expected at least one thread, got {options.threads}")
-    torch.set_num_threads(options.threads)
-    _check_target(options.output)
+    device = _device(arguments.device)
+    if arguments.threads < 1:
+        raise OptionsInvalid(f"expected at least one thread, got {arguments.threads}")
+    torch.set_num_threads(arguments.threads)
+    _check_target(arguments.output)
     inputs = read_inputs(
-        _read(options.mesh),
-        options.mesh.name,
-        _read(options.silhouette),
-        read_camera(_read(options.camera)),
+        _read(arguments.mesh),
+        arguments.mesh.name,
+        _read(arguments.silhouette),
+        read_camera(_read(arguments.camera)),
         options.silhouette_threshold,
     )
-    display = choose_display(options.json)
-    result = _refine(inputs, config, device, display)
-    artifacts = make_artifacts(inputs, result, config)
-    display.finish(result, _publish(artifacts, options.output))
-
-
-def _refine(inputs: Inputs, config: RefineConfig, device: torch.device, display: Display) -> Result:
+    display = choose_display(arguments.json)
     with display:
-        for warning in inputs.warnings:  # now: they may be a reason to stop
-            display.warn(warning)
-        result = inputs.refine(config, device, display.report)
-        for warning in result.warnings[len(inputs.warnings) :]:
-            display.warn(warning)
-    return result
+        events = RunEvents(arguments.mesh.name, options, display.event)
+        try:
+            refinement, artifacts = _refine(inputs, config, device, events, display)
+        except Exception as error:
+            events.failed(_told(error))
+            raise
+    display.finish(refinement)
+    display.written(_publish(artifacts, arguments.output))
+
+
+def _refine(
+    inputs: Inputs, config: RefineConfig, device: torch.device, events: RunEvents, display: Display
+) -> tuple[Refinement, dict[str, bytes]]:
+    for warning in inputs.warnings:  # now: they may be a reason to stop
+        display.warn(warning)
+    result = inputs.refine(config, device, events.report)
+    for warning in result.warnings[len(inputs.warnings) :]:
+        display.warn(warning)
+    artifacts = make_artifacts(inputs, result, config)
+    return events.succeeded(result, artifacts), artifacts
 
 
 def _device(name: str) -> torch.device:

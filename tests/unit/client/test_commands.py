@@ -152,7 +152,7 @@ def test_ctrl_c_leaves_the_job_and_says_so(
     def interrupt(self: Any, event: Event) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("refine_client.commands.display.LineDisplay.event", interrupt)
+    monkeypatch.setattr("refine_proto.commands.display.LineDisplay.event", interrupt)
     with pytest.raises(KeyboardInterrupt):
         submit_command([*submission, "--wait"])
     assert "refine watch job-1, or refine cancel job-1" in capsys.readouterr().err

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import gc
-import math
 import resource
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 
-from refine_engine import values
 from refine_engine.artifacts.make import make_artifacts
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.presets import make_config
 from refine_engine.request import Inputs, read_inputs
+from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_proto import models
 from refine_proto.formats import ARTIFACTS
 from refine_proto.models import Artifact, RefinementOptions, RefinementSpec, SilhouetteIou
+from refine_proto.progress import ProgressMeter
 
 from ..messages import Done, FromEngine, Phase, PhaseStarted, Progressed, Run
 
@@ -98,37 +96,14 @@ def config_of(options: RefinementOptions) -> RefineConfig:
 
 
 class Reporter:
-    """The engine's progress in the words of the contract, with the time that is left."""
+    """Tells the slot of the engine's progress, in the words of the contract."""
 
     def __init__(self, tell: Tell) -> None:
-        self._tell = tell
-        self._last: tuple[int, float] | None = None  # iteration, time
-        self._pace_s: float | None = None  # of an iteration
+        self._tell, self._meter = tell, ProgressMeter()
 
-    def __call__(self, progress: values.Progress) -> None:
-        self._measure(progress.iteration)
-        left = progress.total - progress.iteration
-        self._tell(
-            Progressed(
-                progress=models.Progress(
-                    iteration=progress.iteration,
-                    total=progress.total,
-                    percent=round(100 * progress.iteration / progress.total, 1),
-                    eta_s=None if self._pace_s is None else round(self._pace_s * left, 1),
-                    losses={name: value for name, value in progress.losses.items() if math.isfinite(value)},
-                    # Where neither covers a pixel it is 0 / 0: what is empty overlaps with nothing.
-                    silhouette_iou=progress.silhouette_iou if math.isfinite(progress.silhouette_iou) else 0.0,
-                )
-            )
-        )
-
-    def _measure(self, iteration: int) -> None:
-        """A mean that follows: iterations of a later, finer stage take longer than the first ones."""
-        now = time.monotonic()
-        if self._last is not None and iteration > self._last[0]:
-            pace_s = (now - self._last[1]) / (iteration - self._last[0])
-            self._pace_s = pace_s if self._pace_s is None else 0.7 * self._pace_s + 0.3 * pace_s
-        self._last = (iteration, now)
+    def __call__(self, progress: Progress) -> None:
+        told = self._meter.read(progress.iteration, progress.total, progress.losses, progress.silhouette_iou)
+        self._tell(Progressed(progress=told))
 
 
 @contextmanager
