@@ -35,7 +35,7 @@ def seen_by(mesh: Mesh, cameras: Sequence[Camera], size: tuple[int, int] | None 
     x, y = width / first.width, height / first.height
     intrinsics = intrinsics * intrinsics.new_tensor([x, y, x, y])
     screen = project((mesh.vertices - centre) / scale, matrices, intrinsics, orthographic)
-    return rasterize(screen, mesh.faces, (height, width))
+    return rasterize(screen, mesh.faces, (height, width), orthographic)
 
 
 def hard_silhouette(mesh: Mesh, camera: Camera) -> Tensor:

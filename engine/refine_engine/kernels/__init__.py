@@ -33,13 +33,14 @@ def rasterize(
     screen: Tensor,  # (B, V, 3) x, y in pixels, depth
     faces: Tensor,  # (F, 3) int64
     size: tuple[int, int],  # height, width in pixels
+    orthographic: bool = False,  # as `screen` was projected
 ) -> Fragments:
-    """The visible face and the barycentric weights at every pixel centre. Not differentiable."""
+    """The visible face and the weights of its corners at every pixel centre. Not differentiable."""
     if screen.device.type == "cpu":
-        return cpu.rasterize(screen, faces, size)
+        return cpu.rasterize(screen, faces, size, orthographic)
     if screen.device.type == "cuda":
-        return cuda.rasterize(screen, faces, size)
-    return oracle.rasterize(screen, faces, size)
+        return cuda.rasterize(screen, faces, size, orthographic)
+    return oracle.rasterize(screen, faces, size, orthographic)
 
 
 def image_symmetry(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from . import cpu_numba
+from . import cpu_numba, fused
 from .fragments import Fragments
 from .oracle import CUTOFF
 
@@ -87,73 +87,46 @@ def optical_depth(screen: Tensor, faces: Tensor, side: int, softness: float) -> 
     return result
 
 
-def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments:
+def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int], orthographic: bool = False) -> Fragments:
     """The visible face at every pixel centre by a z-buffer."""
     points, corners = screen.detach().contiguous().numpy(), faces.to(torch.int32).numpy()
     views = len(points)
     depth: NDArray[np.float32] = np.empty((views, *size), np.float32)
     face = np.empty((views, *size), np.int64)
     weight = np.empty((views, *size, 3), np.float32)
-    _each_view(views, lambda i: cpu_numba.rasterize(points[i], corners, depth[i], face[i], weight[i]))
+    _each_view(
+        views, lambda i: cpu_numba.rasterize(points[i], corners, orthographic, depth[i], face[i], weight[i])
+    )
     return Fragments(torch.from_numpy(face), torch.from_numpy(weight))
 
 
-class _ImageSymmetry(torch.autograd.Function):
-    """One pass over the covered pixels computes the loss and, because it is a scalar, its gradients too."""
+def _symmetry_pass(
+    seen: Tensor, mirrored: Tensor, fragments: Fragments, faces: Tensor, confidence: Tensor, cost: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """`fused.OnePass`, view by view; the views' gradients of the confidence are added in their order."""
+    views = len(seen)
+    s, m, sigma = seen.numpy(), mirrored.numpy(), confidence.numpy()
+    face, weight = fragments.face.numpy(), fragments.barycentric.numpy()
+    corners = faces.to(torch.int32).numpy()
+    d_seen, d_mirrored = np.empty(s.shape, np.float32), np.empty(s.shape, np.float32)
+    d_sigma = np.zeros((views, len(sigma)), np.float32)
+    total = np.zeros(views)
 
-    @staticmethod
-    def forward(
-        ctx: Any,
-        seen: Tensor,
-        mirrored: Tensor,
-        fragments: Fragments,
-        faces: Tensor,
-        confidence: Tensor,
-        cost: float,
-    ) -> Tensor:
-        views = len(seen)
-        s, m, sigma = seen.detach().numpy(), mirrored.detach().numpy(), confidence.detach().numpy()
-        face, weight, corners = (
-            fragments.face.numpy(),
-            fragments.barycentric.numpy(),
-            faces.to(torch.int32).numpy(),
-        )
-        d_seen, d_mirrored = np.empty(s.shape, np.float32), np.empty(s.shape, np.float32)
-        d_sigma = np.zeros((views, len(sigma)), np.float32)
-        total = np.zeros(views)
+    def one(i: int) -> None:
+        seen_by_both = s[i], m[i], face[i], weight[i]
+        derivatives = d_seen[i], d_mirrored[i], d_sigma[i]
+        total[i] = cpu_numba.image_symmetry(*seen_by_both, corners, sigma, np.float32(cost), *derivatives)
 
-        def one(i: int) -> None:
-            total[i] = cpu_numba.image_symmetry(
-                s[i],
-                m[i],
-                face[i],
-                weight[i],
-                corners,
-                sigma,
-                np.float32(cost),
-                d_seen[i],
-                d_mirrored[i],
-                d_sigma[i],
-            )
-
-        _each_view(views, one)
-        ctx.gradients = [torch.from_numpy(g) for g in (d_seen, d_mirrored, d_sigma.sum(0))]
-        ctx.pixels = s.size
-        return torch.tensor(total.sum() / s.size, dtype=torch.float32)
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None, None, Tensor, None]:
-        scale = grads[0] / ctx.pixels
-        seen, mirrored, sigma = (g * scale for g in ctx.gradients)
-        return seen, mirrored, None, None, sigma, None
+    _each_view(views, one)
+    by_seen, by_mirrored, by_sigma = (torch.from_numpy(g) for g in (d_seen, d_mirrored, d_sigma.sum(0)))
+    return torch.tensor(total.sum(), dtype=torch.float32), by_seen, by_mirrored, by_sigma
 
 
 def image_symmetry(
     seen: Tensor, mirrored: Tensor, fragments: Fragments, faces: Tensor, confidence: Tensor, cost: float
 ) -> Tensor:
     """`oracle.image_symmetry` in one pass: the same value and gradients."""
-    result: Tensor = _ImageSymmetry.apply(seen, mirrored, fragments, faces, confidence, cost)
-    return result
+    return fused.image_symmetry(_symmetry_pass, seen, mirrored, fragments, faces, confidence, cost)
 
 
 def nearest_point(points: Tensor, queries: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Numba kernels of the CPU back end: one view at a time, no allocation, no lock (nogil).
+"""Numba kernels of the CPU back end: one view at a time, without the interpreter's lock (nogil).
 
 Each kernel walks the faces, and for a face the rows of its screen box grown by the cut-off radius. A row is
 cut into runs of LANES pixels; the body has no branch, so that LLVM turns a run into vector instructions.
@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .oracle import CUTOFF, NEAR
+from .oracle import CUTOFF, FLAT, LEAST_CONFIDENCE, NEAR
 
 f32 = np.float32
 Floats = NDArray[np.float32]
@@ -26,8 +26,8 @@ NEAREST_DEPTH = f32(NEAR)
 LOG2_E = f32(math.log2(math.e))
 TINY = f32(1e-12)
 SHORTEST = 1e-6  # length of a side that has a direction, pixels
-LEAST_CONFIDENCE = f32(1e-6)  # as in losses.confidence_cost
-FLAT = f32(1e-6)  # several roundings: area of a face, over its length times its reach, that counts as none
+LEAST_SIGMA = f32(LEAST_CONFIDENCE)
+FLAT_AREA = f32(FLAT)
 # exp2 on (-1, 0]: Taylor coefficients ln(2)^k / k!
 E1, E2, E3, E4, E5, E6 = (f32(math.log(2) ** k / math.factorial(k)) for k in range(1, 7))
 # log(1 + t) / t on [0, 1]: interpolated at Chebyshev points, error of the logarithm below 2e-7
@@ -66,15 +66,11 @@ def reach(extent: int, radius: f32, a: f32, b: f32, c: f32) -> tuple[int, int]:
 
 @jit
 def orientation(ax: f32, ay: f32, bx: f32, by: f32, cx: f32, cy: f32, radius: f32) -> f32:
-    """+1 if the corners turn from +x to +y, -1 if the other way, 0 without an area.
-
-    A pixel centre on the extension of a face that is a line is zero to all its sides: rounding alone would
-    decide whether it is inside.
-    """
+    """`oracle.orientation` of one face within `radius` pixels."""
     ux, uy, vx, vy, wx, wy = bx - ax, by - ay, cx - bx, cy - by, ax - cx, ay - cy
     longest2 = max(ux * ux + uy * uy, vx * vx + vy * vy, wx * wx + wy * wy)
     area = ux * vy - uy * vx
-    if abs(area) <= FLAT * (longest2 + math.sqrt(longest2) * radius):
+    if abs(area) <= FLAT_AREA * (longest2 + math.sqrt(longest2) * radius):
         return ZERO
     return ONE if area > ZERO else -ONE
 
@@ -247,9 +243,14 @@ def optical_depth_backward(
 
 @jit
 def rasterize(
-    screen: Floats, faces: Ints, depth: Floats, face_image: NDArray[np.int64], weight_image: Floats
+    screen: Floats,
+    faces: Ints,
+    orthographic: bool,
+    depth: Floats,
+    face_image: NDArray[np.int64],
+    weight_image: Floats,
 ) -> None:
-    """Z-buffer of one view: writes depth (H, W), face index and perspective-correct weights (H, W, 3)."""
+    """Z-buffer of one view: writes depth (H, W), face index, and weights of its corners (H, W, 3)."""
     height, width = face_image.shape
     depth[:] = HUGE
     face_image[:] = -1
@@ -259,39 +260,32 @@ def rasterize(
         az, bz, cz = screen[a, 2], screen[b, 2], screen[c, 2]
         if min(az, bz, cz) <= NEAREST_DEPTH:
             continue
-        ax, ay, bx, by, cx, cy = (
-            screen[a, 0],
-            screen[a, 1],
-            screen[b, 0],
-            screen[b, 1],
-            screen[c, 0],
-            screen[c, 1],
-        )
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if abs(area) <= TINY:
+        ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
+        cx, cy = screen[c, 0], screen[c, 1]
+        turn = orientation(ax, ay, bx, by, cx, cy, ZERO)
+        if turn == ZERO:
             continue
-        inverse_area = ONE / area
-        x0 = max(0, math.floor(min(ax, bx, cx)))
-        x1 = min(width - 1, math.floor(max(ax, bx, cx)))
-        y0 = max(0, math.floor(min(ay, by, cy)))
-        y1 = min(height - 1, math.floor(max(ay, by, cy)))
-        ia, ib, ic = ONE / az, ONE / bz, ONE / cz
+        x0, x1 = reach(width, ZERO, ax, bx, cx)
+        y0, y1 = reach(height, ZERO, ay, by, cy)
+        ia, ib, ic = (turn, turn, turn) if orthographic else (turn / az, turn / bz, turn / cz)
         for y in range(y0, y1 + 1):
             py = f32(y) + HALF
             for x in range(x0, x1 + 1):
                 px = f32(x) + HALF
-                wa = ((cx - bx) * (py - by) - (cy - by) * (px - bx)) * inverse_area
-                wb = ((ax - cx) * (py - cy) - (ay - cy) * (px - cx)) * inverse_area
-                wc = ((bx - ax) * (py - ay) - (by - ay) * (px - ax)) * inverse_area
+                wa = ia * ((cx - bx) * (py - by) - (cy - by) * (px - bx))
+                wb = ib * ((ax - cx) * (py - cy) - (ay - cy) * (px - cx))
+                wc = ic * ((bx - ax) * (py - ay) - (by - ay) * (px - ax))
                 if min(wa, wb, wc) < ZERO:
                     continue
-                z = ONE / (wa * ia + wb * ib + wc * ic)
+                scale = ONE / (wa + wb + wc)
+                wa, wb, wc = wa * scale, wb * scale, wc * scale
+                z = wa * az + wb * bz + wc * cz
                 if z < depth[y, x]:
                     depth[y, x] = z
                     face_image[y, x] = f
-                    weight_image[y, x, 0] = wa * ia * z
-                    weight_image[y, x, 1] = wb * ib * z
-                    weight_image[y, x, 2] = wc * ic * z
+                    weight_image[y, x, 0] = wa
+                    weight_image[y, x, 1] = wb
+                    weight_image[y, x, 2] = wc
 
 
 @jit
@@ -323,14 +317,14 @@ def image_symmetry(
             a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
             wa, wb, wc = weight_image[y, x, 0], weight_image[y, x, 1], weight_image[y, x, 2]
             sigma = wa * confidence[a] + wb * confidence[b] + wc * confidence[c]
-            bounded = max(sigma, LEAST_CONFIDENCE)
+            bounded = max(sigma, LEAST_SIGMA)
             clear = exp_negative(seen[y, width - 1 - x])
             clear_mirrored = exp_negative(mirrored[y, x])
             difference = clear_mirrored - clear  # flip(alpha) - alpha'
             total += sigma * difference * difference - cost * math.log(bounded)
             d_seen[y, width - 1 - x] = TWO * sigma * difference * clear
             d_mirrored[y, x] = -TWO * sigma * difference * clear_mirrored
-            d_sigma = difference * difference - (cost / sigma if sigma >= LEAST_CONFIDENCE else ZERO)
+            d_sigma = difference * difference - (cost / sigma if sigma >= LEAST_SIGMA else ZERO)
             d_confidence[a] += wa * d_sigma
             d_confidence[b] += wb * d_sigma
             d_confidence[c] += wc * d_sigma

@@ -3,15 +3,15 @@
 // Two habits make every result the same bit for bit in every run on one card, without a sort:
 //   * sums over faces that meet in a pixel or a vertex are fixed-point integers, whose addition has no order;
 //   * a minimum carries its index in the low half of a 64-bit word, so that a tie goes to the lower index.
-// No kernel uses shared memory or a barrier; a warp (32 lanes) takes one face of one view. Grids: x faces, pixels
-// or vertices, y views. CUTOFF, NEAR and FRACTION_BITS are defined by the caller, from the Python constants.
+// No kernel uses shared memory or a barrier; a warp (LANES threads) takes one face of one view. Grids: x faces,
+// pixels or vertices, y views. Names in capitals without a value here are defined by nvrtc.py, from the constants
+// in Python that they share.
 
 typedef unsigned long long Word;
 
-static const int LANES = 32;
 static const unsigned FULL_WARP = 0xffffffffu;
 static const float TINY = 1e-12f;
-static const float LARGEST = 1048576.0f;  // of one face at one pixel: 2048 such faces fit into the sum
+static const float LARGEST = 1048576.0f;  // of one face at one pixel: 2047 such faces fit into the signed sum
 
 struct Triangle {
     float ax, ay, az, bx, by, bz, cx, cy, cz;  // pixels, depth
@@ -51,6 +51,16 @@ static __device__ inline int area(const Box& box) {
     return box.width > 0 && box.height > 0 ? box.width * box.height : 0;
 }
 
+// +1 if the corners turn from +x to +y, -1 if the other way, 0 without an area: oracle.orientation.
+static __device__ inline float orientation(const Triangle& t, float radius) {
+    const float ux = t.bx - t.ax, uy = t.by - t.ay, vx = t.cx - t.bx, vy = t.cy - t.by;
+    const float wx = t.ax - t.cx, wy = t.ay - t.cy;
+    const float longest2 = fmaxf(ux * ux + uy * uy, fmaxf(vx * vx + vy * vy, wx * wx + wy * wy));
+    const float area = ux * vy - uy * vx;
+    const bool flat = !(fabsf(area) > FLAT * (longest2 + sqrtf(longest2) * radius));
+    return flat ? 0.0f : copysignf(1.0f, area);
+}
+
 // The nearest point of the outline: squared distance, offset from it, weights of the corners.
 struct Outline {
     float squared, qx, qy, wa, wb, wc;
@@ -70,16 +80,18 @@ static __device__ inline Side side_of(float x, float y, float end_x, float end_y
 
 struct Sides {
     Side ab, bc, ca;
+    float turn;
 };
 
-static __device__ inline Sides sides_of(const Triangle& t) {
+static __device__ inline Sides sides_of(const Triangle& t, float radius) {
     const Sides sides = {
-        side_of(t.ax, t.ay, t.bx, t.by), side_of(t.bx, t.by, t.cx, t.cy), side_of(t.cx, t.cy, t.ax, t.ay)};
+        side_of(t.ax, t.ay, t.bx, t.by), side_of(t.bx, t.by, t.cx, t.cy), side_of(t.cx, t.cy, t.ax, t.ay),
+        orientation(t, radius)};
     return sides;
 }
 
 struct Foot {
-    float squared, qx, qy, t, turn;  // turn: on which side of the line the point is
+    float squared, qx, qy, t, left;  // left: on which side of the line the point is
 };
 
 static __device__ inline Foot nearest_on_side(const Side& side, float px, float py) {
@@ -88,8 +100,7 @@ static __device__ inline Foot nearest_on_side(const Side& side, float px, float 
     foot.t = fminf(fmaxf((dx * side.ux + dy * side.uy) * side.inverse, 0.0f), 1.0f);
     foot.qx = dx - foot.t * side.ux, foot.qy = dy - foot.t * side.uy;
     foot.squared = foot.qx * foot.qx + foot.qy * foot.qy;
-    // rounded twice, never fused: a point on the line of a face without area must not seem to be inside
-    foot.turn = __fsub_rn(__fmul_rn(side.ux, dy), __fmul_rn(side.uy, dx));
+    foot.left = side.ux * dy - side.uy * dx;
     return foot;
 }
 
@@ -106,7 +117,7 @@ static __device__ inline Outline nearest_on_outline(const Sides& sides, float px
         o.squared = w.squared, o.qx = w.qx, o.qy = w.qy;
         o.wa = w.t, o.wb = 0.0f, o.wc = 1.0f - w.t;
     }
-    o.inside = fminf(u.turn, fminf(v.turn, w.turn)) > 0.0f || fmaxf(u.turn, fmaxf(v.turn, w.turn)) < 0.0f;
+    o.inside = fminf(sides.turn * u.left, fminf(sides.turn * v.left, sides.turn * w.left)) > 0.0f;
     return o;
 }
 
@@ -130,7 +141,7 @@ extern "C" __global__ void optical_depth(
     Triangle t;
     if (face >= faces || !load(screen + 3 * (size_t)view * vertices, corners + 3 * (size_t)face, &t)) return;
     const Box box = reach(t, radius, side, side);
-    const Sides sides = sides_of(t);
+    const Sides sides = sides_of(t, radius);
     for (int i = threadIdx.x % LANES; i < area(box); i += LANES) {
         const int x = box.x + i % box.width, y = box.y + i / box.width;
         const Outline o = nearest_on_outline(sides, x + 0.5f, y + 0.5f);
@@ -151,7 +162,7 @@ extern "C" __global__ void optical_depth_backward(
     Triangle t;
     const bool drawn = load(screen + 3 * (size_t)view * vertices, corners + 3 * (size_t)face, &t);
     const Box box = reach(t, radius, side, side);
-    const Sides sides = sides_of(t);
+    const Sides sides = sides_of(t, radius);
     const int pixels = drawn ? area(box) : 0;
     float ax = 0, ay = 0, bx = 0, by = 0, cx = 0, cy = 0;
     for (int i = lane; i < pixels; i += LANES) {
@@ -192,42 +203,43 @@ extern "C" __global__ void gather_corners(
 }
 
 struct Hit {
-    float wa, wb, wc, depth;  // perspective-correct weights
+    float wa, wb, wc, depth;  // weights of the corners
     bool inside;
 };
 
-static __device__ inline Hit hit(const Triangle& t, float px, float py) {
-    const float area = (t.bx - t.ax) * (t.cy - t.ay) - (t.by - t.ay) * (t.cx - t.ax);
-    Hit h = {0, 0, 0, 0, fabsf(area) > TINY};
-    if (!h.inside) return h;
-    h.wa = ((t.cx - t.bx) * (py - t.by) - (t.cy - t.by) * (px - t.bx)) / area;
-    h.wb = ((t.ax - t.cx) * (py - t.cy) - (t.ay - t.cy) * (px - t.cx)) / area;
-    h.wc = ((t.bx - t.ax) * (py - t.ay) - (t.by - t.ay) * (px - t.ax)) / area;
-    h.inside = fminf(h.wa, fminf(h.wb, h.wc)) >= 0.0f;
-    h.wa /= t.az, h.wb /= t.bz, h.wc /= t.cz;
-    h.depth = 1.0f / (h.wa + h.wb + h.wc);
-    h.wa *= h.depth, h.wb *= h.depth, h.wc *= h.depth;
+static __device__ inline Hit hit(const Triangle& t, bool orthographic, float px, float py) {
+    const float turn = orientation(t, 0.0f);
+    Hit h;
+    h.wa = turn * ((t.cx - t.bx) * (py - t.by) - (t.cy - t.by) * (px - t.bx));
+    h.wb = turn * ((t.ax - t.cx) * (py - t.cy) - (t.ay - t.cy) * (px - t.cx));
+    h.wc = turn * ((t.bx - t.ax) * (py - t.ay) - (t.by - t.ay) * (px - t.ax));
+    h.inside = turn != 0.0f && fminf(h.wa, fminf(h.wb, h.wc)) >= 0.0f;
+    if (!orthographic) h.wa /= t.az, h.wb /= t.bz, h.wc /= t.cz;
+    const float scale = 1.0f / (h.wa + h.wb + h.wc);
+    h.wa *= scale, h.wb *= scale, h.wc *= scale;
+    h.depth = h.wa * t.az + h.wb * t.bz + h.wc * t.cz;
     return h;
 }
 
 // Z-buffer (B, height, width) of packed depth and face, set to all ones before.
 extern "C" __global__ void rasterize(
-    const float* screen, const int* corners, int vertices, int faces, int height, int width, Word* nearest) {
+    const float* screen, const int* corners, int vertices, int faces, int orthographic, int height, int width,
+    Word* nearest) {
     const int face = face_of_warp(), view = blockIdx.y;
     Triangle t;
     if (face >= faces || !load(screen + 3 * (size_t)view * vertices, corners + 3 * (size_t)face, &t)) return;
     const Box box = reach(t, 0.0f, width, height);
     for (int i = threadIdx.x % LANES; i < area(box); i += LANES) {
         const int x = box.x + i % box.width, y = box.y + i / box.width;
-        const Hit h = hit(t, x + 0.5f, y + 0.5f);
+        const Hit h = hit(t, orthographic, x + 0.5f, y + 0.5f);
         if (h.inside) atomicMin(nearest + ((size_t)view * height + y) * width + x, pack(h.depth, face));
     }
 }
 
 // Unpacks the z-buffer: face (B, height, width), -1 = background, and its weights (B, height, width, 3).
 extern "C" __global__ void resolve(
-    const float* screen, const int* corners, int vertices, int height, int width, const Word* nearest,
-    long long* face_image, float* weight_image) {
+    const float* screen, const int* corners, int vertices, int orthographic, int height, int width,
+    const Word* nearest, long long* face_image, float* weight_image) {
     const int pixel = blockIdx.x * blockDim.x + threadIdx.x, view = blockIdx.y;
     if (pixel >= height * width) return;
     const size_t at = (size_t)view * height * width + pixel;
@@ -237,7 +249,7 @@ extern "C" __global__ void resolve(
     if (covered) {
         Triangle t;
         load(screen + 3 * (size_t)view * vertices, corners + 3 * (size_t)face, &t);
-        h = hit(t, pixel % width + 0.5f, pixel / width + 0.5f);
+        h = hit(t, orthographic, pixel % width + 0.5f, pixel / width + 0.5f);
     }
     face_image[at] = covered ? (long long)face : -1;
     weight_image[3 * at] = h.wa, weight_image[3 * at + 1] = h.wb, weight_image[3 * at + 2] = h.wc;
@@ -260,23 +272,20 @@ extern "C" __global__ void image_symmetry(
     }
     const int* corner = corners + 3 * face;
     const float* weight = weight_image + 3 * at;
-    const float blend =
+    const float sigma =
         weight[0] * confidence[corner[0]] + weight[1] * confidence[corner[1]] + weight[2] * confidence[corner[2]];
-    const float sigma = fmaxf(blend, 1e-6f);
     const float clear = expf(-seen[flipped]), clear_mirrored = expf(-mirrored[at]);
     const float difference = clear_mirrored - clear;  // flip(alpha) - alpha'
-    value[at] = sigma * difference * difference - cost * logf(sigma);
+    value[at] = sigma * difference * difference - cost * logf(fmaxf(sigma, LEAST_CONFIDENCE));
     d_seen[flipped] = 2.0f * sigma * difference * clear;
     d_mirrored[at] = -2.0f * sigma * difference * clear_mirrored;
-    const float d_sigma = difference * difference - (blend >= 1e-6f ? cost / sigma : 0.0f);
+    const float d_sigma = difference * difference - (sigma >= LEAST_CONFIDENCE ? cost / sigma : 0.0f);
     for (int k = 0; k < 3; ++k)
         atomicAdd(d_confidence + corner[k], (Word)__float2ll_rn(weight[k] * d_sigma * fixed_one));
 }
 
-static const int QUERIES = 4;  // per thread: each candidate is loaded once for all of them
-
 // Packed squared distance and index of the point nearest to each query: best (V,), all ones before. As many of both.
-// Grid: x queries, y runs of `run` candidates.
+// Grid: x queries, y runs of `run` candidates. A thread loads each candidate once for QUERIES queries.
 extern "C" __global__ void nearest_point(
     const float* points, const float* queries, int count, int run, Word* best) {
     const int first = blockIdx.x * blockDim.x * QUERIES + threadIdx.x;

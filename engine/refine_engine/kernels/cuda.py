@@ -15,13 +15,11 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
-from . import nvrtc
+from . import fused, nvrtc
 from .fragments import Fragments
-from .nvrtc import BLOCK, FRACTION_BITS
-from .oracle import CUTOFF
+from .nvrtc import BLOCK, FRACTION_BITS, LANES, QUERIES
+from .oracle import CUTOFF, LEAST_CONFIDENCE
 
-LANES = 32  # of a warp, which takes one face of one view
-QUERIES = 4  # of a thread in nearest_point, as in cuda.cu
 RUN = 256  # candidates of a thread in nearest_point
 INDEX_BITS = 0xFFFFFFFF  # the low half of a packed minimum
 
@@ -107,75 +105,46 @@ def optical_depth(screen: Tensor, faces: Tensor, side: int, softness: float) -> 
     return depth
 
 
-def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments:
+def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int], orthographic: bool = False) -> Fragments:
     """The visible face at every pixel centre by a z-buffer; the lower of two faces at the same depth."""
     points = screen.detach().float().contiguous()
     views, vertices = points.shape[:2]
     corners = _table(faces, vertices).corners
     nearest = _packed_minima((views, *size), points.device)
-    nvrtc.launch(
-        "rasterize", per_face(len(faces), views), points, corners, vertices, len(faces), *size, nearest
-    )
+    view = int(orthographic), *size
+    grid = per_face(len(faces), views)
+    nvrtc.launch("rasterize", grid, points, corners, vertices, len(faces), *view, nearest)
     face = torch.empty_like(nearest)
     weight = torch.empty((*nearest.shape, 3), device=points.device)
     grid = per_item(size[0] * size[1], views)
-    nvrtc.launch("resolve", grid, points, corners, vertices, *size, nearest, face, weight)
+    nvrtc.launch("resolve", grid, points, corners, vertices, *view, nearest, face, weight)
     return Fragments(face, weight)
 
 
-class _ImageSymmetry(torch.autograd.Function):
-    """One pass over the pixels computes the loss and, because it is a scalar, its gradients too."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        seen: Tensor,
-        mirrored: Tensor,
-        fragments: Fragments,
-        faces: Tensor,
-        confidence: Tensor,
-        cost: float,
-    ) -> Tensor:
-        seen, mirrored, sigma = (t.detach().contiguous() for t in (seen, mirrored, confidence))
-        views, side = seen.shape[:2]
-        value, d_seen, d_mirrored = torch.empty_like(seen), torch.empty_like(seen), torch.empty_like(seen)
-        d_sigma = torch.zeros(len(sigma), dtype=torch.int64, device=seen.device)
-        largest = seen.numel() * (1 + cost / 1e-6)  # of the sum at one vertex, with the kernel's least sigma
-        one = 2.0 ** math.floor(62 - math.log2(largest))
-        nvrtc.launch(
-            "image_symmetry",
-            per_item(side * side, views),
-            seen,
-            mirrored,
-            fragments.face,
-            fragments.barycentric,
-            _table(faces, len(sigma)).corners,
-            sigma,
-            float(cost),
-            one,
-            side,
-            value,
-            d_seen,
-            d_mirrored,
-            d_sigma,
-        )
-        ctx.gradients = d_seen, d_mirrored, d_sigma.float() / one
-        ctx.pixels = seen.numel()
-        return value.mean()
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor, None, None, Tensor, None]:
-        scale = grads[0] / ctx.pixels
-        seen, mirrored, sigma = (g * scale for g in ctx.gradients)
-        return seen, mirrored, None, None, sigma, None
+def _symmetry_pass(
+    seen: Tensor, mirrored: Tensor, fragments: Fragments, faces: Tensor, confidence: Tensor, cost: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """`fused.OnePass`; the gradients of the confidence are fixed-point sums."""
+    seen, mirrored, sigma = (t.contiguous() for t in (seen, mirrored, confidence))
+    views, side = seen.shape[:2]
+    value, d_seen, d_mirrored = torch.empty_like(seen), torch.empty_like(seen), torch.empty_like(seen)
+    d_sigma = torch.zeros(len(sigma), dtype=torch.int64, device=seen.device)
+    largest = seen.numel() * (1 + cost / LEAST_CONFIDENCE)  # of the sum at one vertex
+    one = 2.0 ** math.floor(62 - math.log2(largest))
+    corners = _table(faces, len(sigma)).corners
+    seen_by_both = seen, mirrored, fragments.face, fragments.barycentric
+    derivatives = d_seen, d_mirrored, d_sigma
+    grid = per_item(side * side, views)
+    settings = float(cost), one, side
+    nvrtc.launch("image_symmetry", grid, *seen_by_both, corners, sigma, *settings, value, *derivatives)
+    return value.sum(), d_seen, d_mirrored, d_sigma.float() / one
 
 
 def image_symmetry(
     seen: Tensor, mirrored: Tensor, fragments: Fragments, faces: Tensor, confidence: Tensor, cost: float
 ) -> Tensor:
     """`oracle.image_symmetry` in one pass: the same value and gradients."""
-    result: Tensor = _ImageSymmetry.apply(seen, mirrored, fragments, faces, confidence, cost)
-    return result
+    return fused.image_symmetry(_symmetry_pass, seen, mirrored, fragments, faces, confidence, cost)
 
 
 def nearest_point(points: Tensor, queries: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ class Fragments:
     """Result of `rasterize`."""
 
     face: Tensor  # (B, H, W) int64, index of the visible face, -1 = background
-    barycentric: Tensor  # (B, H, W, 3) perspective-correct weights of its vertices, 0 on background
+    barycentric: Tensor  # (B, H, W, 3) weights of its corners at the point of the face, 0 on background
 
 
 def interpolate(fragments: Fragments, faces: Tensor, attribute: Tensor) -> Tensor:

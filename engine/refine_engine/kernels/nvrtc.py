@@ -16,15 +16,25 @@ import torch
 from torch import Tensor
 
 from ..errors import RefineError
-from .oracle import CUTOFF, NEAR
+from .oracle import CUTOFF, FLAT, LEAST_CONFIDENCE, NEAR
 
 if TYPE_CHECKING:
     from cuda.core import Kernel, ObjectCode
     from cuda.core.utils import ProgramCacheResource
 
-BLOCK = 128  # threads of a block, for every kernel: four warps
+LANES = 32  # threads of a warp, which takes one face of one view
+BLOCK = 4 * LANES  # threads of a block, for every kernel
 FRACTION_BITS = 32  # of the fixed-point optical depth
-MACROS = [("CUTOFF", f"{CUTOFF!r}f"), ("NEAR", f"{NEAR!r}f"), ("FRACTION_BITS", str(FRACTION_BITS))]
+QUERIES = 4  # of a thread in nearest_point
+MACROS = [
+    ("CUTOFF", f"{CUTOFF!r}f"),
+    ("FLAT", f"{FLAT!r}f"),
+    ("LEAST_CONFIDENCE", f"{LEAST_CONFIDENCE!r}f"),
+    ("NEAR", f"{NEAR!r}f"),
+    ("FRACTION_BITS", str(FRACTION_BITS)),
+    ("LANES", str(LANES)),
+    ("QUERIES", str(QUERIES)),
+]
 
 
 def kernel_text() -> str:

@@ -10,7 +10,14 @@ triangle's outline in pixels, and
 which is the soft silhouette of Liu et al. 2019 (Soft Rasterizer): its product over faces, carried as a sum
 that needs no order and no list of the K nearest faces, and never saturates. A face is left out of a pixel
 where sigmoid(x) falls below 1e-4, and of the image when one of its vertices is nearer to the camera plane
-than NEAR. A triangle without area is its outline: it has no inside.
+than NEAR. A triangle without area (`orientation`) is its outline: it has no inside.
+
+At a pixel centre inside a face, let w_i be the share of its screen triangle that lies opposite corner i, and
+z_i the corner's depth. A point of the face is a mean of the corners with weights in proportion to
+
+    w_i / z_i  in perspective,  w_i  in an orthographic view
+
+and its depth is their mean with the same weights. The visible face is the one of the least depth.
 """
 
 from __future__ import annotations
@@ -25,7 +32,10 @@ from .fragments import Fragments
 
 CUTOFF = math.log(1e4 - 1)  # -x where sigmoid(x) = 1e-4
 LEAST_CONFIDENCE = 1e-6  # below it ln(1 / sigma) grows no more
-NEAR = 1e-2  # least depth of a drawn vertex, unit-box lengths
+NEAR = 1e-2  # least depth of a drawn vertex, in the unit of the depths: callers scale the object to length 1
+FLAT = (
+    1e-6  # several roundings of float32: area of a face, over its length times its reach, that counts as none
+)
 FACES_AT_ONCE = 64  # bounds the memory of the dense evaluation
 
 
@@ -43,11 +53,27 @@ def pixel_centres(height: int, width: int, like: Tensor) -> Tensor:
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
+    """z of the cross product of vectors in the plane: (..., 2), (..., 2) -> (...). Positive from +x to +y."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def signed_squared_distance(p: Tensor, triangles: Tensor) -> Tensor:
-    """p (P, 2), triangles (F, 3, 2) -> (F, P): squared distance to the outline, positive inside."""
+def orientation(triangles: Tensor, reach: float) -> Tensor:
+    """+1 where the corners turn from +x to +y, -1 the other way, 0 without an area: (F, 3, 2) -> (F,).
+
+    A point on the extension of a face that is a line is zero to all its sides, so rounding alone would decide
+    whether it is inside. `reach`: how far from the face points are asked about, pixels.
+    """
+    sides = triangles.roll(-1, 1) - triangles  # (F, 3, 2)
+    longest = sides.square().sum(-1).amax(1).sqrt()
+    area = cross(sides[:, 0], sides[:, 1])
+    return torch.where(area.abs() > FLAT * longest * (longest + reach), area.sign(), 0)
+
+
+def signed_squared_distance(p: Tensor, triangles: Tensor, reach: float) -> Tensor:
+    """p (P, 2), triangles (F, 3, 2) -> (F, P): squared distance to the outline, positive inside.
+
+    Right within `reach` of a face; see `orientation`.
+    """
     squared, sides = [], []
     for i in range(3):
         a = triangles[:, None, i]  # (F, 1, 2)
@@ -57,8 +83,7 @@ def signed_squared_distance(p: Tensor, triangles: Tensor) -> Tensor:
         t = ((to_p * edge).sum(-1) / length2.clamp_min(1e-12)).clamp(0, 1).detach()  # stationary: no gradient
         squared.append((to_p - t[..., None] * edge).square().sum(-1))
         sides.append(cross(edge, to_p))
-    side = torch.stack(sides)
-    inside = (side > 0).all(0) | (side < 0).all(0)
+    inside = (torch.stack(sides) * orientation(triangles, reach)[:, None] > 0).all(0)
     nearest = torch.stack(squared).amin(0)
     return torch.where(inside, nearest, -nearest)
 
@@ -71,13 +96,13 @@ def optical_depth(screen: Tensor, faces: Tensor, side: int, softness: float) -> 
     for points, ok in zip(screen, drawable(screen, faces), strict=True):
         total = torch.zeros(len(p), dtype=screen.dtype, device=screen.device)
         for chunk in faces[ok].split(FACES_AT_ONCE):
-            x = signed_squared_distance(p, points[chunk][..., :2]) / s
+            x = signed_squared_distance(p, points[chunk][..., :2], math.sqrt(CUTOFF * s)) / s
             total = total + torch.where(x > -CUTOFF, F.softplus(x, threshold=80), 0).sum(0)
         images.append(total.reshape(side, side))
     return torch.stack(images)
 
 
-def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments:
+def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int], orthographic: bool = False) -> Fragments:
     """The nearest face at each pixel centre that lies inside it, by comparing all of them."""
     p = pixel_centres(*size, screen).reshape(-1, 2)
     face_images, weight_images = [], []
@@ -86,31 +111,38 @@ def rasterize(screen: Tensor, faces: Tensor, size: tuple[int, int]) -> Fragments
         best_face = torch.full((len(p),), -1, dtype=torch.int64, device=screen.device)
         best_weight = torch.zeros(len(p), 3, dtype=screen.dtype, device=screen.device)
         for index in ok.nonzero()[:, 0].split(FACES_AT_ONCE):
-            triangles = points[faces[index]]  # (C, 3, 3)
-            w = torch.stack(
-                [
-                    cross(
-                        triangles[:, None, (i + 2) % 3, :2] - triangles[:, None, (i + 1) % 3, :2],
-                        p[None] - triangles[:, None, (i + 1) % 3, :2],
-                    )
-                    for i in range(3)
-                ],
-                -1,
-            )  # (C, P, 3)
-            area = w.sum(-1, keepdim=True)
-            inside = ((w >= 0).all(-1) | (w <= 0).all(-1)) & (area[..., 0].abs() > 1e-12)
-            inverse = w / torch.where(area == 0, 1, area) / triangles[:, None, :, 2]  # perspective-correct
-            depth = torch.where(inside, 1 / inverse.sum(-1), math.inf)  # (C, P)
-            nearest, which = depth.min(0)
+            weights, depths = hits(p, points[faces[index]], orthographic)  # (C, P, 3), (C, P)
+            nearest, which = depths.min(0)
             closer = nearest < best_depth
-            pixel = torch.arange(len(p), device=p.device)
-            weight = inverse[which, pixel] * nearest[:, None]
             best_depth = torch.where(closer, nearest, best_depth)
             best_face = torch.where(closer, index[which], best_face)
+            weight = weights[which, torch.arange(len(p), device=p.device)]
             best_weight = torch.where(closer[:, None], weight, best_weight)
         face_images.append(best_face.reshape(size))
         weight_images.append(best_weight.reshape(*size, 3))
     return Fragments(torch.stack(face_images), torch.stack(weight_images))
+
+
+def hits(p: Tensor, triangles: Tensor, orthographic: bool) -> tuple[Tensor, Tensor]:
+    """Of points p (P, 2) on triangles (F, 3, 3): weights of the corners (F, P, 3) and depth (F, P).
+
+    The depth is infinite where the point is outside the face.
+    """
+    corners = triangles[..., :2]
+    areas = [
+        cross(
+            corners[:, None, (i + 2) % 3] - corners[:, None, (i + 1) % 3], p - corners[:, None, (i + 1) % 3]
+        )
+        for i in range(3)
+    ]
+    turn = orientation(corners, reach=0)[:, None]  # (F, 1)
+    share = torch.stack(areas, -1) * turn[..., None]  # (F, P, 3), none negative inside
+    inside = (share >= 0).all(-1) & (turn != 0)
+    z = triangles[:, None, :, 2]
+    if not orthographic:
+        share = share / z
+    weights = share / torch.where(inside, share.sum(-1), 1)[..., None]
+    return weights, torch.where(inside, (weights * z).sum(-1), math.inf)
 
 
 def alpha(optical_depth: Tensor) -> Tensor:

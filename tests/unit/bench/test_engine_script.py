@@ -1,6 +1,7 @@
 """The engine's benchmark: what it counts is right, its scores are the engine's metrics, its parts run."""
 
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,9 +25,9 @@ def test_pairs_are_those_of_the_oracle() -> None:
     faces = torch.arange(12).reshape(4, 3)
     side, softness = 20, 1e-3
     p = oracle.pixel_centres(side, side, screen).reshape(-1, 2)
-    x = [
-        oracle.signed_squared_distance(p, view[faces][..., :2]) / (softness * side**2 / 4) for view in screen
-    ]
+    softness_px = softness * side**2 / 4
+    reach = math.sqrt(oracle.CUTOFF * softness_px)
+    x = [oracle.signed_squared_distance(p, view[faces][..., :2], reach) / softness_px for view in screen]
     expected = sum(int((of_view > -oracle.CUTOFF).sum()) for of_view in x)
     assert expected > 100
     assert measure.contributing_pairs(screen, faces, side, softness) == expected

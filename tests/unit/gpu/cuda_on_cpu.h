@@ -28,8 +28,6 @@ static unsigned __float_as_uint(float value) {
 }
 
 static long long __float2ll_rn(float value) { return std::llrint(value); }
-static float __fmul_rn(float a, float b) { volatile float product = a * b; return product; }
-static float __fsub_rn(float a, float b) { volatile float difference = a - b; return difference; }
 
 static void atomicAdd(unsigned long long* at, unsigned long long value) { *at += value; }
 

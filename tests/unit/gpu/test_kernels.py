@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import pytest
@@ -121,10 +120,14 @@ def test_every_bit_is_the_same_in_any_order_of_blocks(emulator: Any) -> None:
         assert torch.equal(one, other)
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
 @pytest.mark.parametrize("size", [(SIDE, SIDE), (24, 56)])
-def test_rasterize_matches_the_specification(emulator: Any, size: tuple[int, int]) -> None:
+def test_rasterize_matches_the_specification(
+    emulator: Any, size: tuple[int, int], orthographic: bool
+) -> None:
     screen, faces = random_mesh(3)
-    seen, expected = cuda.rasterize(screen, faces, size), oracle.rasterize(screen, faces, size)
+    seen = cuda.rasterize(screen, faces, size, orthographic)
+    expected = oracle.rasterize(screen, faces, size, orthographic)
     assert torch.equal(seen.face, expected.face)
     assert len(expected.face.unique()) > 10
     torch.testing.assert_close(seen.barycentric, expected.barycentric, rtol=1e-4, atol=1e-5)
@@ -136,11 +139,10 @@ def test_rasterize_leaves_out_what_the_specification_leaves_out(emulator: Any) -
         cuda.rasterize(screen, faces, (SIDE, SIDE)),
         oracle.rasterize(screen, faces, (SIDE, SIDE)),
     )
-    has_area = {-1, 5, 6, 7}
-    assert set(expected.face.unique().tolist()) <= has_area
-    assert set(seen.face.unique().tolist()) <= has_area
-    covered = (seen.face >= 0) == (expected.face >= 0)
-    assert float(covered.float().mean()) > 0.97  # the row along the face that is 8e9 pixels wide is rounding
+    plain = {-1, 6, 7}  # these two lie on one another: rounding says which is seen
+    assert set(expected.face.unique().tolist()) <= plain
+    assert set(seen.face.unique().tolist()) <= plain
+    assert torch.equal(seen.face >= 0, expected.face >= 0)
 
 
 def symmetry(
@@ -174,6 +176,16 @@ def test_image_symmetry_matches_the_plain_loss(emulator: Any, cost: float) -> No
         assert relative(one, other) < 1e-5
 
 
+def test_an_asymmetric_place_costs_no_difference(emulator: Any) -> None:
+    """Where sigma is 0 the difference counts nothing at all, also below the least that its logarithm sees."""
+    screen, faces = random_mesh(6)
+    fragments = oracle.rasterize(screen, faces, (SIDE, SIDE))
+    seen = torch.rand(2, SIDE, SIDE, generator=torch.Generator().manual_seed(8)).requires_grad_()
+    cuda.image_symmetry(seen, torch.zeros_like(seen), fragments, faces, torch.zeros(24), 5e-4).backward()
+    assert seen.grad is not None
+    assert not seen.grad.any()
+
+
 @pytest.mark.parametrize("count", [1, 5, 300, 1100])
 def test_nearest_point_matches_all_distances(emulator: Any, count: int) -> None:
     generator = torch.Generator().manual_seed(count)
@@ -202,20 +214,14 @@ def test_grids_cover_everything() -> None:
     for count in (1, 127, 128, 129, 3000, 200_000):
         x, y = cuda.per_face(count, 13)
         assert y == 13
-        assert 0 <= x * nvrtc.BLOCK // cuda.LANES - count < nvrtc.BLOCK // cuda.LANES
+        assert 0 <= x * nvrtc.BLOCK // nvrtc.LANES - count < nvrtc.BLOCK // nvrtc.LANES
         x, y = cuda.per_item(count, 13)
         assert y == 13
         assert 0 <= x * nvrtc.BLOCK - count < nvrtc.BLOCK
         x, y = cuda.per_query(count)
-        assert 0 <= x * nvrtc.BLOCK * cuda.QUERIES - count < nvrtc.BLOCK * cuda.QUERIES
+        assert 0 <= x * nvrtc.BLOCK * nvrtc.QUERIES - count < nvrtc.BLOCK * nvrtc.QUERIES
         assert 0 <= y * cuda.RUN - count < cuda.RUN
         assert y <= 65535  # the card's limit
-
-
-def test_numbers_said_twice_agree() -> None:
-    text = nvrtc.kernel_text()
-    for name, value in [("LANES", cuda.LANES), ("QUERIES", cuda.QUERIES)]:
-        assert re.search(rf"\b{name} = {value};", text)
 
 
 def test_corner_table_lists_each_corner_once_at_its_vertex() -> None:

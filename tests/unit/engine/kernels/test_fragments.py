@@ -19,11 +19,14 @@ class Scene(Protocol):
     def faces(self) -> Tensor: ...
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
 @pytest.mark.parametrize("size", [(16, 16), (21, 37), (40, 25)])
-def test_cpu_agrees_with_the_oracle(make_scene: Callable[[int], Scene], size: tuple[int, int]) -> None:
+def test_cpu_agrees_with_the_oracle(
+    make_scene: Callable[[int], Scene], size: tuple[int, int], orthographic: bool
+) -> None:
     scene = make_scene(min(size))
-    seen = cpu.rasterize(scene.screen, scene.faces, size)
-    expected = oracle.rasterize(scene.screen.double(), scene.faces, size)
+    seen = cpu.rasterize(scene.screen, scene.faces, size, orthographic)
+    expected = oracle.rasterize(scene.screen.double(), scene.faces, size, orthographic)
     assert seen.face.shape == (len(scene.screen), *size)
     same = seen.face == expected.face
     assert float(same.float().mean()) > 0.99  # the others: centres on an edge, or faces that cross there
@@ -51,16 +54,67 @@ TWO = torch.tensor([[[0, 0, 1], [4, 0, 1], [0, 4, 2], [-9, -9, 3], [20, -9, 3], 
 PAIR = torch.tensor([[3, 4, 5], [0, 1, 2]])
 
 
-@pytest.mark.parametrize("render", [cpu.rasterize, oracle.rasterize])
+both_renders = pytest.mark.parametrize("render", [cpu.rasterize, oracle.rasterize])
+
+
+@both_renders
 def test_the_near_face_hides_the_far_one(render: Callable[..., Fragments]) -> None:
     seen = render(TWO, PAIR, (4, 4))
     assert seen.face[0, 0, :3].tolist() == [1, 1, 1]
     assert seen.face[0, 3, 1:].tolist() == [0, 0, 0]
-    # centre (0.5, 1.5): on the screen a 1/2, b 1/8, c 3/8; each over its depth: 1/2, 1/8, 3/16; sum 13/16
-    torch.testing.assert_close(seen.barycentric[0, 1, 0], torch.tensor([8 / 13, 2 / 13, 3 / 13]))
 
 
-@pytest.mark.parametrize("render", [cpu.rasterize, oracle.rasterize])
+@both_renders
+def test_weights_by_hand(render: Callable[..., Fragments]) -> None:
+    """At centre (0.5, 1.5) a has 1/2 of the screen triangle, b 1/8, c 3/8."""
+    perspective, orthographic = render(TWO, PAIR, (4, 4)), render(TWO, PAIR, (4, 4), orthographic=True)
+    # each over its depth: 1/2, 1/8, 3/16, together 13/16
+    torch.testing.assert_close(perspective.barycentric[0, 1, 0], torch.tensor([8 / 13, 2 / 13, 3 / 13]))
+    torch.testing.assert_close(orthographic.barycentric[0, 1, 0], torch.tensor([1 / 2, 1 / 8, 3 / 8]))
+
+
+# A floor that falls from depth 1/2 at the left border of 8 x 8 pixels to 5/2 at the right one, and a wall at
+# depth 1. Of an orthographic view, the floor's depth at x is 1/2 + x/4: it goes through the wall at x = 2. In
+# perspective the inverse of the depth is 2 - x/5: x = 5.
+CORNERS = [(0, 0), (8, 0), (0, 8), (8, 8)]
+FLOOR = [(x, y, 0.5 if x == 0 else 2.5) for x, y in CORNERS]
+CROSSING = torch.tensor([FLOOR + [(x, y, 1.0) for x, y in CORNERS]])
+QUADS = torch.tensor([[0, 1, 2], [2, 1, 3], [4, 5, 6], [6, 5, 7]])
+
+
+@both_renders
+@pytest.mark.parametrize(("orthographic", "crossing"), [(True, 2), (False, 5)])
+def test_faces_that_cross_by_hand(
+    render: Callable[..., Fragments], orthographic: bool, crossing: int
+) -> None:
+    seen = render(CROSSING, QUADS, (8, 8), orthographic)
+    in_front = (seen.face[0] <= 1).tolist()
+    assert in_front == [[column < crossing for column in range(8)]] * 8
+
+
+@both_renders
+@pytest.mark.parametrize(("orthographic", "depth"), [(True, 0.875), (False, 1 / 1.7)])
+def test_depth_by_hand(render: Callable[..., Fragments], orthographic: bool, depth: float) -> None:
+    """At x = 1.5 of the floor alone."""
+    seen = render(CROSSING, QUADS[:2], (8, 8), orthographic)
+    z = (CROSSING[0, QUADS[seen.face[0]], 2] * seen.barycentric[0]).sum(-1)
+    torch.testing.assert_close(z[:, 1], torch.full((8,), depth))
+
+
+@both_renders
+@pytest.mark.parametrize(("height", "drawn"), [(5e-6, False), (2e-5, True)])
+def test_a_face_without_area_is_not_seen(
+    render: Callable[..., Fragments], height: float, drawn: bool
+) -> None:
+    """Its long side runs through pixel centres. Twice its area is 8 heights; 64e-6 count as none."""
+    sliver = torch.tensor([[[0, 0.5, 1], [8, 0.5, 1], [4, 0.5 + height, 1]]])
+    for corners in ([0, 1, 2], [2, 1, 0]):
+        seen = render(sliver, torch.tensor([corners]), (2, 8))
+        assert (seen.face[0, 0] >= 0).tolist() == [drawn] * 8
+        assert not (seen.face[0, 1] >= 0).any()
+
+
+@both_renders
 def test_background(render: Callable[..., Fragments]) -> None:
     seen = render(TWO, PAIR[1:], (4, 6))
     assert seen.face[0, 3, 3] == -1
