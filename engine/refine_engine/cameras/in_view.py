@@ -64,8 +64,12 @@ def _iou(rendered: Tensor, silhouette: Tensor) -> Tensor:
 
 
 def _where(mesh: Mesh, camera: Camera) -> str:
+    """Of a mesh that the camera does not see: where it is instead."""
     vertices = mesh.vertices[torch.unique(mesh.faces)]
     depth = vertices @ camera.world_to_camera[2, :3].to(vertices) + camera.world_to_camera[2, 3].to(vertices)
-    if float(depth.max()) <= 0.0:
+    nearest, farthest = float(depth.min()), float(depth.max())
+    if farthest <= 0.0:
         return "one that is entirely behind the camera"
+    if nearest <= 0.0:
+        return f"one around the camera, from depth {nearest:.3g} to {farthest:.3g}"
     return f"one that lies outside the {camera.width}x{camera.height} pixels"
