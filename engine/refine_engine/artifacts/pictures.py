@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +22,8 @@ Colour = tuple[int, int, int]
 _PANEL = 320  # pixels a side
 _CAPTION = 26  # pixels of height
 _SAMPLES = 2  # per pixel and axis, for smooth edges
+_STEEPEST = 30.0  # degrees, elevation of the camera at the side
+_SIDE_FOV = 30.0  # degrees
 _COMPRESSION = 3  # of PNG, zlib's levels: two thirds of the time of the usual 6, files a tenth larger
 _MAX_SIDE = 1024  # pixels of confidence.png; a larger camera image is scaled down
 _INPUT, _BEFORE, _AFTER = (0, 140, 51), (230, 89, 0), (26, 64, 230)
@@ -101,20 +104,22 @@ def shade(mesh: Mesh, camera: Camera, fragments: Fragments) -> Picture:
 
 
 def side_camera(camera: Camera, mesh: Mesh, pixels: int) -> Camera:
-    """A square camera a quarter turn around the object from `camera`, from where the whole mesh is in
-    view."""
+    """A square camera a quarter turn around the world's up axis (+Y), that sees the whole mesh, upright.
+
+    It looks from as high as `camera` but no steeper than _STEEPEST: from above, a quarter turn shows no side.
+    """
     used = mesh.vertices.detach().cpu()[mesh.faces.cpu().flatten()].double()
     centre = (used.amin(0) + used.amax(0)) / 2
     radius = float((used - centre).norm(dim=1).max())
-    quarter = torch.tensor([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], dtype=torch.float64)
-    rotation = quarter @ camera.world_to_camera[:3, :3].cpu().double()
-    half_angle = np.radians(15.0)
-    distance = 1.15 * radius / np.sin(half_angle)
-    matrix = torch.eye(4, dtype=torch.float64)
-    matrix[:3, :3] = rotation
-    matrix[:3, 3] = torch.tensor([0.0, 0.0, distance], dtype=torch.float64) - rotation @ centre
-    focal = 0.5 * pixels / float(np.tan(half_angle))
-    return Camera(matrix.float(), focal, focal, pixels / 2, pixels / 2, pixels, pixels)
+    x, y, z = (-camera.world_to_camera[2, :3]).tolist()  # from the object towards the camera
+    azimuth = math.degrees(math.atan2(x, z)) - 90.0
+    elevation = math.degrees(math.atan2(y, math.hypot(x, z)))
+    elevation = max(-_STEEPEST, min(_STEEPEST, elevation))
+    distance = 1.15 * radius / math.sin(math.radians(_SIDE_FOV / 2))
+    side = Camera.look_at(azimuth, elevation, distance, _SIDE_FOV, pixels, pixels)
+    matrix = side.world_to_camera.double()
+    matrix[:3, 3] -= matrix[:3, :3] @ centre
+    return replace(side, world_to_camera=matrix.float())
 
 
 def encode(picture: Picture) -> bytes:
