@@ -11,7 +11,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from refine_engine import Mesh, RefineConfig, View, refine
 from refine_engine.kernels import cpu, cuda
-from refine_engine.kernels.graph import Backlog, repeatable
 from refine_engine.method.config import Stage
 from refine_engine.method.loop import Fit
 
@@ -91,26 +90,3 @@ def test_the_operators_that_wait_are_seen() -> None:
         torch.ones(2)[torch.tensor([True, False])]
     assert operators.count["_local_scalar_dense"] == 1
     assert operators.count["nonzero"] >= 1
-
-
-def test_on_the_cpu_an_iteration_is_called_as_it_is() -> None:
-    def iteration() -> None:
-        raise AssertionError
-
-    assert repeatable(iteration, torch.device("cpu")) is iteration
-
-
-def test_backlog_waits_for_the_oldest_beyond_its_limit() -> None:
-    waited: list[int] = []
-
-    class Done:
-        def __init__(self, number: int) -> None:
-            self.number = number
-
-        def synchronize(self) -> None:
-            waited.append(self.number)
-
-    backlog = Backlog(2)
-    for number in range(5):
-        backlog.add(Done(number))
-        assert waited == list(range(number - 1))
