@@ -26,6 +26,7 @@ from torch import Tensor
 
 from refine_engine import Cancelled, Mesh, RefineConfig, View, make_config, read_camera, read_inputs, refine
 from refine_engine.kernels import image_symmetry, optical_depth, rasterize
+from refine_engine.kernels.cuda import keep_float32
 from refine_engine.kernels.graph import EAGER_RUNS, repeatable
 from refine_engine.method.loop import Fit
 from refine_engine.method.presets import PRESETS
@@ -134,22 +135,23 @@ def time_parts(case: Case, device: torch.device, config: RefineConfig, runs: int
     stage = replace(config.stages[-1], iterations=runs + EAGER_RUNS + 2)
     fit = Fit(*case, replace(config, stages=(stage,)))
     fit.enter(stage)
-    repeatable(fit.step, device)()  # makes the gradients and the optimiser's state
+    with repeatable(fit.step, device) as step:
+        step()  # makes the gradients and the optimiser's state
     milliseconds = {}
     for name, part in parts_of_iteration(fit).items():
 
         def call(part: Callable[[], object] = part) -> None:
             part()
 
-        replay = repeatable(call, device)
-        for _ in range(EAGER_RUNS + 1 if device.type == "cuda" else 0):
-            replay()
-
-        def loop(replay: Callable[[], None] = replay) -> None:
-            for _ in range(runs):
+        with repeatable(call, device) as replay:
+            for _ in range(EAGER_RUNS + 1 if device.type == "cuda" else 0):
                 replay()
 
-        milliseconds[name] = 1000 * seconds_of(loop, device) / runs
+            def loop(replay: Callable[[], None] = replay) -> None:
+                for _ in range(runs):
+                    replay()
+
+            milliseconds[name] = 1000 * seconds_of(loop, device) / runs
     whole = milliseconds["whole iteration"]
     return [[name, f"{ms:.3f}", f"{100 * ms / whole:.0f} %"] for name, ms in milliseconds.items()]
 
@@ -322,6 +324,7 @@ def main() -> int:
         return 2
     device = options.device
     torch.cuda.set_device(device)
+    keep_float32()
     case = load(options.sample, device)
     config = make_config(options.preset, iterations=options.iterations)
     if options.racer:

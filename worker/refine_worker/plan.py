@@ -46,7 +46,7 @@ class SlotPlan(BaseModel):
             "NUMBA_NUM_THREADS": threads,
             "OMP_NUM_THREADS": threads,
             "OPENBLAS_NUM_THREADS": threads,
-            "PYTORCH_CUDA_ALLOC_CONF": "expandable_segments:True",  # several slots share the card
+            "PYTORCH_ALLOC_CONF": "expandable_segments:True",  # several slots share the card
             "TOKIO_WORKER_THREADS": "1",  # the blob store's I/O threads
             "VECLIB_MAXIMUM_THREADS": threads,
         }

@@ -21,6 +21,7 @@ from refine_proto.models import Refinement
 from ..artifacts.make import make_artifacts
 from ..cameras.spec import read_camera
 from ..errors import InputError, OptionsInvalid, RefineError
+from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
 from ..method.presets import make_config
 from ..request import Inputs, read_inputs
@@ -84,6 +85,7 @@ def _run(arguments: argparse.Namespace) -> None:
     if arguments.threads < 1:
         raise OptionsInvalid(f"expected at least one thread, got {arguments.threads}")
     torch.set_num_threads(arguments.threads)
+    keep_float32()
     _check_target(arguments.output)
     inputs = read_inputs(
         _read(arguments.mesh),

@@ -24,6 +24,16 @@ RUN = 256  # candidates of a thread in nearest_point
 INDEX_BITS = 0xFFFFFFFF  # the low half of a packed minimum
 
 
+def keep_float32() -> None:
+    """For the whole process: products on a card keep the 24 bits of float32, as on a CPU.
+
+    torch lets cuDNN round the factors of a convolution to the 11 bits of TF32: the encoder's features would
+    differ from a CPU's by 1e-3. As with the number of threads, `main` says it once.
+    """
+    torch.backends.cudnn.allow_tf32 = False
+    torch.backends.cuda.matmul.allow_tf32 = False
+
+
 def per_face(faces: int, views: int) -> tuple[int, int]:
     """Grid with a warp for every face of every view."""
     return math.ceil(faces * LANES / BLOCK), views

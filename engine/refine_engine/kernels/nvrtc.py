@@ -62,14 +62,21 @@ def user_cache() -> ProgramCacheResource | None:
 
 @lru_cache(maxsize=8)
 def _compiled(architecture: str) -> ObjectCode:
+    """Raises RefineError: something is missing or too old for this card."""
+    cuda = torch.version.cuda or "none"
     try:
         return compile_kernels(architecture, user_cache())
     except ImportError as missing:
-        cuda = torch.version.cuda or "none"
         raise RefineError(
             f"expected cuda-core and cuda-bindings for this torch (built for CUDA {cuda}), got: {missing}; "
             f"next: pip install cuda-core 'cuda-bindings=={cuda.split('.')[0]}.*'"
         ) from missing
+    except Exception as failure:  # those of cuda.core and cuda.pathfinder have no class in common
+        raise RefineError(
+            f"expected an NVRTC that compiles for this card ({architecture}), "
+            f"got {type(failure).__name__}: {' '.join(str(failure).split())}; next: install the newest torch "
+            f"built for CUDA, which brings its NVRTC (this one is built for CUDA {cuda})"
+        ) from failure
 
 
 @lru_cache(maxsize=64)

@@ -224,6 +224,19 @@ def test_grids_cover_everything() -> None:
         assert y <= 65535  # the card's limit
 
 
+def test_products_keep_float32() -> None:
+    flags: list[Any] = [torch.backends.cudnn, torch.backends.cuda.matmul]
+    before = [flag.allow_tf32 for flag in flags]
+    try:
+        for flag in flags:
+            flag.allow_tf32 = True
+        cuda.keep_float32()
+        assert [flag.allow_tf32 for flag in flags] == [False, False]
+    finally:
+        for flag, value in zip(flags, before, strict=True):
+            flag.allow_tf32 = value
+
+
 def test_corner_table_lists_each_corner_once_at_its_vertex() -> None:
     faces = torch.tensor([[0, 1, 2], [2, 1, 3], [5, 2, 0]])
     table = cuda.CornerTable.of(faces, 7)

@@ -79,6 +79,33 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         nvrtc._compiled("sm_90")
 
 
+@pytest.mark.usefixtures("compiler")
+def test_an_nvrtc_that_does_not_know_the_card_is_told() -> None:
+    nvrtc._compiled.cache_clear()
+    with pytest.raises(
+        RefineError, match=r"NVRTC that compiles for this card \(sm_999\), got NVRTCError: .*arch"
+    ):
+        nvrtc._compiled("sm_999")
+
+
+def test_a_missing_nvrtc_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    pathfinder = pytest.importorskip("cuda.pathfinder", reason="cuda-core is installed on Linux only")
+
+    def compile_kernels(*_: object) -> None:
+        raise pathfinder.DynamicLibNotFoundError("Failure finding libnvrtc.so.13:\nNo such file")
+
+    monkeypatch.setattr(nvrtc, "compile_kernels", compile_kernels)
+    monkeypatch.setattr(torch.version, "cuda", "13.0")
+    nvrtc._compiled.cache_clear()
+    with pytest.raises(RefineError) as error:
+        nvrtc._compiled("sm_90")
+    assert str(error.value) == (
+        "expected an NVRTC that compiles for this card (sm_90), "
+        "got DynamicLibNotFoundError: Failure finding libnvrtc.so.13: No such file; next: install the newest "
+        "torch built for CUDA, which brings its NVRTC (this one is built for CUDA 13.0)"
+    )
+
+
 def test_arguments_are_passed_as_c_values() -> None:
     cpu = torch.device("cpu")
     values: list[Any] = [nvrtc.as_argument(value, cpu) for value in (3, 0.5)]

@@ -32,6 +32,13 @@ def test_a_card_has_four_slots() -> None:
     assert plan(2, ["0"]) == [("cuda:0", "0", 1)] * 2
 
 
+def test_slots_that_share_a_card_tell_torch_so() -> None:
+    (slot, *_) = plan_slots(WorkerSettings(), 16, ["0"], "host")
+    environment = slot.engine_environment()
+    assert environment["CUDA_VISIBLE_DEVICES"] == "0"
+    assert environment["PYTORCH_ALLOC_CONF"] == "expandable_segments:True"
+
+
 @pytest.mark.parametrize("cuda", [[], ["0"], ["0", "1"]])
 def test_defaults_never_exceed_the_cores(cuda: list[str]) -> None:
     for cores, threads in itertools.product(range(4, 20), (None, 1, 2)):

@@ -20,6 +20,7 @@ from multiprocessing.connection import Connection
 import torch
 
 from refine_engine.errors import RefineError
+from refine_engine.kernels.cuda import keep_float32
 from refine_jobs.blobs import BlobStore
 from refine_jobs.logs import configure_logs, log_fields
 
@@ -39,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     faulthandler.enable(options.crash_report)
     torch.set_num_threads(options.threads)
     torch.set_num_interop_threads(1)
+    keep_float32()
     connection = Connection(options.pipe)
     device = torch.device("cuda" if os.environ.get("CUDA_VISIBLE_DEVICES") else "cpu")
     refinery = Refinery(BlobStore(options.blobs), device, options.read_memory_bytes)
