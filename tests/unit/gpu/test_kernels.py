@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from refine_engine.kernels import cuda, interpolate, nvrtc, oracle
+from refine_engine.kernels import cpu, cuda, interpolate, nvrtc, oracle
 
 SIDE = 40
 SOFTNESS = 3e-3  # reaches 3.3 pixels at this size
@@ -118,6 +118,32 @@ def test_every_bit_is_the_same_in_any_order_of_blocks(emulator: Any) -> None:
         runs.append([depth, grad, fragments.face, fragments.barycentric, nearest, *slopes])
     for one, other in zip(*runs, strict=True):
         assert torch.equal(one, other)
+
+
+def slivers_near_the_camera(height: float, count: int = 60) -> Tensor:
+    """(B, 3, 3), a face for each view, up to thousands of pixels long; `height` over its length."""
+    generator = torch.Generator().manual_seed(11)
+    depth = oracle.NEAR * 1.01 + 0.3 * torch.rand(count, 3, 1, generator=generator).square()
+    across = 0.6 * torch.rand(count, 3, 2, generator=generator) - 0.3
+    corners = across * SIDE / depth + SIDE / 2
+    length = corners[:, 1] - corners[:, 0]
+    middle = corners[:, 0] + torch.rand(count, 1, generator=generator) * length
+    corners[:, 2] = middle + height * torch.stack([-length[:, 1], length[:, 0]], 1)
+    return torch.cat([corners, depth], 2)
+
+
+@pytest.mark.parametrize("back_end", [cpu, cuda])
+@pytest.mark.parametrize("height", [1e-2, 1e-4, 1e-6, 1e-7, 0.0])
+def test_slivers_near_the_camera_match_the_specification(emulator: Any, back_end: Any, height: float) -> None:
+    """Whether a pixel is inside one is for rounding to say, but not what that comes to."""
+    screen, faces = slivers_near_the_camera(height), torch.tensor([[0, 1, 2]])
+    depth = back_end.optical_depth(screen, faces, SIDE, SOFTNESS)
+    expected = oracle.optical_depth(screen.double(), faces, SIDE, SOFTNESS)
+    assert int((expected > 0).sum()) > 2000
+    torch.testing.assert_close(depth.double(), expected, rtol=0, atol=1e-3)
+    seen = back_end.rasterize(screen, faces, (SIDE, SIDE)).face >= 0
+    differ = seen != (oracle.rasterize(screen.double(), faces, (SIDE, SIDE)).face >= 0)
+    assert int(differ.sum()) <= 2  # centres on an edge
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
