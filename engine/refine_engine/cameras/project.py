@@ -10,7 +10,7 @@ from ..values import Camera
 
 
 def project(
-    vertices: Tensor,  # (V, 3) world
+    vertices: Tensor,  # (V, 3) in a frame where the object is about 1 long: NEAR is a length of it
     world_to_camera: Tensor,  # (B, 4, 4) OpenCV axes
     intrinsics: Tensor,  # (B, 4) fx, fy, cx, cy in pixels
     orthographic: bool = False,

@@ -59,6 +59,7 @@ class CornerTable:
 
     @staticmethod
     def of(faces: Tensor, vertices: int) -> CornerTable:
+        """Of faces (F, 3) int64 among so many vertices."""
         flat = faces.reshape(-1)
         ordered, incident = flat.sort(stable=True)
         offsets = torch.searchsorted(ordered, torch.arange(vertices + 1, device=faces.device))

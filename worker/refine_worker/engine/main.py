@@ -1,6 +1,6 @@
 """`python -m refine_worker.engine.main`: the engine process of a slot. The only module here that loads torch.
 
-It loads the engine, runs one tiny refinement so that every kernel is compiled, says Ready, and then refines
+It loads the engine, runs tiny refinements so that every kernel is compiled, says Ready, and then refines
 what the slot sends it. A thread reads the pipe: it sees a Cancel while the main thread computes, and the end
 of the slot, with which this process ends at once.
 """
@@ -27,7 +27,7 @@ from refine_jobs.logs import configure_logs, log_fields
 from .. import messages
 from ..messages import Cancel, Done, Failed, Ready, Run
 from .refinery import MemoryShort, Refinery
-from .warm_up import warm_up
+from .warm_up import presets_to_warm, warm_up
 
 log = logging.getLogger("refine_worker.engine")
 
@@ -44,7 +44,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     connection = Connection(options.pipe)
     device = torch.device("cuda" if os.environ.get("CUDA_VISIBLE_DEVICES") else "cpu")
     refinery = Refinery(BlobStore(options.blobs), device, options.read_memory_bytes)
-    warm_up(device)
+    for preset in presets_to_warm(device):
+        warm_up(device, preset)
     inbox = Inbox(connection)
     messages.send(connection, Ready(seconds=time.monotonic() - started))
     while True:

@@ -81,11 +81,10 @@ def test_outside_the_image_without_a_better_reading() -> None:
 
 def test_a_camera_inside_the_object_is_told() -> None:
     """In front of this one's plane is only the corner at the origin, and no face as a whole."""
-    true = camera_from_spec(LOOK_AT, WIDTH, HEIGHT)
     spec = {**LOOK_AT, "azimuth_degrees": 45, "elevation_degrees": 35, "distance": 0.1}
-    view = View(picture(true), camera_from_spec(spec, WIDTH, HEIGHT))
+    view = View(picture(camera_of(LOOK_AT)), camera_of(spec))
     with pytest.raises(ObjectOutOfView) as error:
-        check_in_view(box(), view, spec)
+        check_in_view(box(), view, read_camera(spec))
     assert str(error.value).startswith(
         "expected the object in the image, got one around the camera, from depth -"
     )

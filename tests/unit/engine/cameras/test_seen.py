@@ -17,9 +17,11 @@ from torch import Tensor
 from refine_engine import read_inputs
 from refine_engine.artifacts.pictures import draw_preview
 from refine_engine.cameras.seen import hard_silhouette, seen_by, silhouette_iou
+from refine_engine.cameras.spec import read_camera
 from refine_engine.commands.evaluate import eval_command
 from refine_engine.kernels import interpolate
 from refine_engine.values import Camera, Mesh, Projection, View
+from refine_proto.cameras import CameraSpec
 
 SIDE, FOV_DEGREES = 64, 35.0
 UNITS = pytest.mark.parametrize("unit", [1000.0, 0.004, 0.001])  # millimetres; nearer than 0.01; kilometres
@@ -97,7 +99,7 @@ def test_units_do_not_matter_to_the_preview(unit: float, projection: Projection)
     assert float((difference > 2).float().mean()) < 1e-3  # rounding may move a pixel of an outline
 
 
-def files_in(unit: float) -> tuple[bytes, bytes, dict[str, object]]:
+def files_in(unit: float) -> tuple[bytes, bytes, CameraSpec]:
     """The mesh as OBJ, its silhouette as PNG, its camera as a spec."""
     lines = [f"v {x} {y} {z}" for x, y, z in mesh_in(unit).vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()]
@@ -106,7 +108,7 @@ def files_in(unit: float) -> tuple[bytes, bytes, dict[str, object]]:
     Image.fromarray((covered.numpy() * 255).astype("uint8")).save(png, "PNG")
     spec = {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9 * unit}
     spec |= {"fov_y_degrees": FOV_DEGREES}
-    return "\n".join(lines).encode(), png.getvalue(), spec
+    return "\n".join(lines).encode(), png.getvalue(), read_camera(spec)
 
 
 @UNITS
@@ -114,7 +116,7 @@ def test_units_do_not_matter_to_a_request(unit: float) -> None:
     mesh, silhouette, camera = files_in(unit)
     inputs = read_inputs(mesh, "mesh.obj", silhouette, camera)
     assert inputs.warnings == ()
-    assert silhouette_iou(inputs.mesh_file.mesh, inputs.view) == 1.0
+    assert silhouette_iou(inputs.mesh_file.mesh, inputs.views[0]) == 1.0
 
 
 @UNITS
