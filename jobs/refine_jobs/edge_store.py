@@ -11,6 +11,7 @@ import binascii
 import hashlib
 import secrets
 from collections.abc import AsyncGenerator
+from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,14 +56,14 @@ class JobStore:
         self._redis: Any = redis  # redis-py's types cannot say that it decodes responses
         self._settings = settings
         self._delivery = Delivery(settings.pool)
-        self._feed = EventFeed(redis, self._find)
+        self.feed = EventFeed(redis, self._find)
         self._submit = redis.register_script(script("submit"))
         self._cancel = redis.register_script(script("cancel"))
         self._delete = redis.register_script(script("delete"))
 
     async def close(self) -> None:
         """Stop the event feed and close the connections."""
-        await self._feed.close()
+        await self.feed.close()
         await self._redis.aclose()
 
     def check_options(self, spec: RefinementSpec) -> RefinementSpec:
@@ -194,8 +195,9 @@ class JobStore:
         job = await self._job(owner, job_id)
         if job.state.terminal and after_sequence >= job.sequence:
             return
-        async for event in self._feed.follow(job_id, after_sequence):
-            yield event
+        async with aclosing(self.feed.follow(job, after_sequence)) as events:
+            async for event in events:
+                yield event
 
     @unavailable
     async def cancel(self, owner: str, job_id: str) -> Refinement:

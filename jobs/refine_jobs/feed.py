@@ -1,15 +1,17 @@
 """One reader for all watchers of a process, on one subscribed Redis connection.
 
-Every event rings a channel with the job's id. The reader fetches the new entries of that job's stream once,
-decodes them once and hands them to each of its watchers. Rings can be lost (a reconnect), events cannot: they
-are in the stream, and the reader looks at every watched stream now and then without a ring.
+Every event rings a channel with the job's id. The reader fetches the new entries of the streams that rang, in
+one round trip, decodes them once and hands them to each of their watchers. Rings can be lost (a reconnect),
+events cannot: they are in the stream, and the reader looks at every watched stream now and then unasked. Only
+the reader moves the place up to which a stream is handed out; who joins reads what came before by itself.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from collections import deque
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -20,10 +22,11 @@ from redis.exceptions import RedisError
 from refine_proto.models import Event, EventType, Refinement
 
 from . import keys
-from .record import decode_event
+from .record import Job, decode_event
 
 _LOOK_S = 5.0  # without a ring
-_RECONNECT_S = 1.0
+_PAUSE_S = 1.0  # after an error
+_BURST = 1000  # rings that are answered together
 
 log = logging.getLogger(__name__)
 
@@ -31,9 +34,11 @@ log = logging.getLogger(__name__)
 class _Topic:
     """The watchers of one job in this process."""
 
-    def __init__(self) -> None:
+    def __init__(self, handed_out: int) -> None:
         self.watchers: set[asyncio.Queue[Event]] = set()
-        self.read = 0  # sequence of the last event handed out
+        self.handed_out = (
+            handed_out  # sequence of the last event; a watcher that joins finds it in the stream
+        )
 
 
 class EventFeed:
@@ -46,33 +51,31 @@ class EventFeed:
         self._reader: asyncio.Task[None] | None = None
         self._closed = False
 
-    async def follow(self, job_id: str, after_sequence: int) -> AsyncIterator[Event]:
+    async def follow(self, job: Job, after_sequence: int) -> AsyncGenerator[Event, None]:
         """The events after a sequence number, those that were and those to come, to the completed one."""
         queue: asyncio.Queue[Event] = asyncio.Queue()
-        topic = self._topics.setdefault(job_id, _Topic())
+        topic = self._topics.setdefault(job.id, _Topic(job.sequence))
         topic.watchers.add(queue)  # before the replay, so that nothing falls between
         self._reader = self._reader or asyncio.create_task(self._read_forever(), name="event feed")
         try:
             last = after_sequence
-            replay = await self._fetch(job_id, after_sequence)
-            topic.read = max(topic.read, *(event.sequence for event in replay), 0)
-            for event in replay:
-                last = event.sequence
-                yield event
-                if event.type is EventType.COMPLETED:
-                    return
-            while True:
-                event = await queue.get()
-                if event.sequence <= last:
-                    continue
-                last = event.sequence
-                yield event
+            replay = deque((await self._fetch({job.id: last}))[job.id])
+            while replay or not job.state.terminal:
+                event = replay.popleft() if replay else await queue.get()
+                if event.sequence > last:  # some come by both ways
+                    last = event.sequence
+                    yield event
                 if event.type is EventType.COMPLETED:
                     return
         finally:
             topic.watchers.discard(queue)
             if not topic.watchers:
-                self._topics.pop(job_id, None)
+                self._topics.pop(job.id, None)
+
+    def watchers(self, job_id: str) -> int:
+        """How many follow the job in this process."""
+        topic = self._topics.get(job_id)
+        return len(topic.watchers) if topic else 0
 
     async def close(self) -> None:
         """Stop the reader; watchers get nothing more."""
@@ -87,37 +90,45 @@ class EventFeed:
             try:
                 async with self._redis.pubsub(ignore_subscribe_messages=True) as bell:
                     await bell.subscribe(keys.DOORBELL)
-                    await self._hand_out(list(self._topics))  # what rang while nobody listened
+                    await self._hand_out(self._topics)  # what rang while nobody listened
                     while not self._closed:
                         await self._hand_out(await self._rung(bell))
             except RedisError as error:
-                log.warning("event feed: %s; again in %s s", error, _RECONNECT_S)
-                await asyncio.sleep(_RECONNECT_S)
+                log.warning("event feed: %s; again in %s s", error, _PAUSE_S)
+                await asyncio.sleep(_PAUSE_S)
 
     async def _rung(self, bell: PubSub) -> Iterable[str]:
         """The jobs that rang; after _LOOK_S of silence, all that are watched."""
         message = await bell.get_message(timeout=_LOOK_S)
         if message is None:
-            return list(self._topics)
-        rung = set()
-        while message is not None:  # a burst is read as one
-            rung.add(message["data"])
+            return self._topics
+        rung = {message["data"]}
+        for _ in range(_BURST):
             message = await bell.get_message(timeout=0.0)
+            if message is None:
+                break
+            rung.add(message["data"])
         return rung
 
     async def _hand_out(self, job_ids: Iterable[str]) -> None:
-        for job_id in job_ids:
-            topic = self._topics.get(job_id)
-            if topic is None:
-                continue
-            for event in await self._fetch(job_id, topic.read):
-                topic.read = max(topic.read, event.sequence)
+        topics = {job_id: topic for job_id in job_ids if (topic := self._topics.get(job_id))}
+        found = await self._fetch({job_id: topic.handed_out for job_id, topic in topics.items()})
+        for job_id, topic in topics.items():
+            for event in found[job_id]:
+                topic.handed_out = event.sequence
                 for watcher in topic.watchers:
                     watcher.put_nowait(event)
 
-    async def _fetch(self, job_id: str, after_sequence: int) -> list[Event]:
-        entries = await self._redis.xrange(keys.EVENTS + job_id, min=f"({after_sequence}-0")
-        events = [decode_event(entry) for entry in entries]
-        if events and events[-1].type is EventType.COMPLETED:
-            events[-1] = events[-1].model_copy(update={"refinement": await self._find(job_id)})
-        return events
+    async def _fetch(self, after: Mapping[str, int]) -> dict[str, list[Event]]:
+        """The events of jobs after a sequence number each."""
+        async with self._redis.pipeline(transaction=False) as pipe:
+            for job_id, sequence in after.items():
+                pipe.xrange(keys.EVENTS + job_id, min=f"({sequence}-0")
+            streams = await pipe.execute()
+        found = {}
+        for job_id, entries in zip(after, streams, strict=True):
+            events = [decode_event(entry) for entry in entries]
+            if events and events[-1].type is EventType.COMPLETED:
+                events[-1] = events[-1].model_copy(update={"refinement": await self._find(job_id)})
+            found[job_id] = events
+        return found

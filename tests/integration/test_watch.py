@@ -23,6 +23,25 @@ async def watched(store: JobStore, job_id: str, after: int = 0) -> list[Event]:
     return [event async for event in store.watch("ann", job_id, after)]
 
 
+async def joined(store: JobStore, job_id: str) -> asyncio.Task[list[int]]:
+    """The sequences that a watcher gets, of a watcher that has had its first event."""
+    steps = store.watch("ann", job_id)
+    first = await anext(steps)
+
+    async def collect() -> list[int]:
+        return [first.sequence, *[event.sequence async for event in steps]]
+
+    return asyncio.create_task(collect())
+
+
+def finish(jobs: Jobs, job_id: str) -> None:
+    """Events 2 to 4 of a queued job."""
+    job = jobs.worker.claim(job_id, "slot-0")
+    assert job
+    jobs.worker.report(job, progress(1))
+    jobs.worker.finish(job, [], IOU)
+
+
 def test_replay_from_a_sequence(jobs: Jobs) -> None:
     async def scenario() -> None:
         async with jobs.edge() as store:
@@ -70,12 +89,12 @@ def test_watchers_of_a_deleted_job_are_told(jobs: Jobs) -> None:
     async def scenario() -> None:
         async with jobs.edge() as store:
             job_id = (await jobs.submit(store)).refinement.id
-            task = asyncio.create_task(watched(store, job_id))
-            await asyncio.sleep(0.1)
+            steps = store.watch("ann", job_id)
+            await anext(steps)
             await store.delete("ann", job_id)
-            events = await asyncio.wait_for(task, 10)
-            assert (events[-1].type, events[-1].state) == (EventType.COMPLETED, State.EXPIRED)
-            assert events[-1].refinement is None
+            last = await asyncio.wait_for(anext(steps), 10)
+            assert (last.type, last.state, last.refinement) == (EventType.COMPLETED, State.EXPIRED, None)
+            assert [event async for event in steps] == []
 
     asyncio.run(scenario())
 
@@ -84,17 +103,13 @@ def test_hundreds_of_watchers_share_few_connections(jobs: Jobs) -> None:
     async def scenario() -> None:
         async with jobs.edge() as store:
             ids = [(await jobs.submit(store)).refinement.id for _ in range(5)]
-            tasks = [asyncio.create_task(watched(store, ids[i % 5])) for i in range(300)]
-            await asyncio.sleep(0.5)
+            tasks = await asyncio.gather(*(joined(store, ids[i % 5]) for i in range(300)))
             connections = int(jobs.redis.info("clients")["connected_clients"])
             assert connections < 40
             for job_id in ids:
-                job = jobs.worker.claim(job_id, "slot-0")
-                assert job
-                jobs.worker.report(job, progress(1))
-                jobs.worker.finish(job, [], IOU)
+                finish(jobs, job_id)
             histories = await asyncio.wait_for(asyncio.gather(*tasks), 30)
-            assert {tuple(e.sequence for e in history) for history in histories} == {(1, 2, 3, 4)}
+            assert {tuple(history) for history in histories} == {(1, 2, 3, 4)}
 
     asyncio.run(scenario())
 
@@ -103,13 +118,78 @@ def test_a_feed_that_loses_its_connection_misses_nothing(jobs: Jobs) -> None:
     async def scenario() -> None:
         async with jobs.edge() as store:
             job_id = (await jobs.submit(store)).refinement.id
-            task = asyncio.create_task(watched(store, job_id))
-            await asyncio.sleep(0.2)
-            jobs.redis.client_kill_filter(_type="pubsub")
-            job = jobs.worker.claim(job_id, "slot-0")
+            task = await joined(store, job_id)
+            while not jobs.redis.client_kill_filter(_type="pubsub"):
+                await asyncio.sleep(0.01)  # it does not listen yet
+            finish(jobs, job_id)
+            assert await asyncio.wait_for(task, 20) == [1, 2, 3, 4]
+
+    asyncio.run(scenario())
+
+
+def test_a_watcher_that_joins_takes_nothing_from_another(jobs: Jobs) -> None:
+    """It may read an event before the ring of that event has reached the reader."""
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job = jobs.worker.claim((await jobs.submit(store)).refinement.id, "slot-0")
             assert job
-            jobs.worker.finish(job, [], IOU)
-            assert [e.sequence for e in await asyncio.wait_for(task, 20)] == [1, 2, 3]
+            steps = store.watch("ann", job.id)
+            assert [(await anext(steps)).sequence for _ in range(2)] == [1, 2]
+            jobs.worker.report(job, progress(1))
+            assert (await asyncio.wait_for(anext(steps), 10)).sequence == 3  # from the reader
+            jobs.redis.xadd(
+                keys.EVENTS + job.id, {"type": "completed", "state": "succeeded", "time": 1}, "4-0"
+            )
+            assert [event.sequence for event in await watched(store, job.id)] == [1, 2, 3, 4]
+            jobs.redis.publish(keys.DOORBELL, job.id)
+            assert (await asyncio.wait_for(anext(steps), 10)).sequence == 4
+            assert [event async for event in steps] == []
+
+    asyncio.run(scenario())
+
+
+def test_watchers_that_join_while_their_job_ends_miss_nothing(jobs: Jobs) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            ids = [(await jobs.submit(store)).refinement.id for _ in range(30)]
+            tasks = await asyncio.gather(*(joined(store, job_id) for job_id in ids))
+
+            async def join(job_id: str) -> None:
+                for _ in range(4):
+                    tasks.append(await joined(store, job_id))
+
+            ends = (asyncio.to_thread(finish, jobs, job_id) for job_id in ids)
+            await asyncio.gather(*ends, *(join(job_id) for job_id in ids))
+            histories = await asyncio.wait_for(asyncio.gather(*tasks), 30)
+            assert {tuple(history) for history in histories} == {(1, 2, 3, 4)}
+
+    asyncio.run(scenario())
+
+
+def test_a_watcher_far_ahead_ends_with_its_job(jobs: Jobs) -> None:
+    """Who asks for events after one that will never be is told of the end by the end of the stream."""
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            ahead = asyncio.create_task(watched(store, job_id, 1000))
+            while not store.feed.watchers(job_id):
+                await asyncio.sleep(0.01)
+            finish(jobs, job_id)
+            assert await asyncio.wait_for(ahead, 10) == []
+            assert not store.feed.watchers(job_id)
+
+    asyncio.run(scenario())
+
+
+def test_a_watcher_of_an_ended_job_whose_events_have_gone_ends(jobs: Jobs) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            finish(jobs, job_id)
+            jobs.redis.delete(keys.EVENTS + job_id)  # as a deletion does that comes in between
+            assert await asyncio.wait_for(watched(store, job_id), 10) == []
 
     asyncio.run(scenario())
 
