@@ -9,12 +9,14 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
+import logging
 import secrets
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import ValidationError
 from redis.asyncio import Redis
 
 from refine_proto.errors import (
@@ -39,6 +41,8 @@ from .scripts import script
 from .settings import JobSettings
 
 _BUSY_RETRY_S = 10.0  # queue full: a job takes longer than this
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -221,8 +225,13 @@ class JobStore:
         return _owned(owner, job_id, await self._redis.hgetall(keys.JOB + job_id))
 
     async def _find(self, job_id: str) -> Refinement | None:
+        """None also for a record that only a newer version can read: its watchers still hear of its end."""
         fields = await self._redis.hgetall(keys.JOB + job_id)
-        return Job.decode(fields).refinement() if "spec" in fields else None
+        try:
+            return Job.decode(fields).refinement() if "spec" in fields else None
+        except ValidationError as error:
+            log.warning("job %s cannot be read: %s", job_id, error)
+            return None
 
     def _idempotency_key(self, submission: Submission) -> str:
         key = submission.idempotency_key

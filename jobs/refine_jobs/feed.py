@@ -22,7 +22,7 @@ from redis.exceptions import RedisError
 from refine_proto.models import Event, EventType, Refinement
 
 from . import keys
-from .record import Job, decode_event
+from .record import Entry, Job, decode_event, sequence_of
 
 _LOOK_S = 5.0  # without a ring
 _PAUSE_S = 1.0  # after an error
@@ -36,13 +36,12 @@ class _Topic:
 
     def __init__(self, handed_out: int) -> None:
         self.watchers: set[asyncio.Queue[Event]] = set()
-        self.handed_out = (
-            handed_out  # sequence of the last event; a watcher that joins finds it in the stream
-        )
+        self.handed_out = handed_out  # sequence of the last event; who joins finds it in the stream
+        self.complained = False  # of an event that cannot be read
 
 
 class EventFeed:
-    """Streams of events. `find` gives the Refinement of a completed event, or None if it is gone."""
+    """Streams of events. `find` gives the Refinement of a completed event, or None if it cannot."""
 
     def __init__(self, redis: Redis, find: Callable[[str], Awaitable[Refinement | None]]) -> None:
         self._redis: Any = redis  # redis-py's types cannot say that it decodes responses
@@ -56,10 +55,12 @@ class EventFeed:
         queue: asyncio.Queue[Event] = asyncio.Queue()
         topic = self._topics.setdefault(job.id, _Topic(job.sequence))
         topic.watchers.add(queue)  # before the replay, so that nothing falls between
-        self._reader = self._reader or asyncio.create_task(self._read_forever(), name="event feed")
+        if self._reader is None or self._reader.done():
+            self._reader = asyncio.create_task(self._read_forever(), name="event feed")
         try:
             last = after_sequence
-            replay = deque((await self._fetch({job.id: last}))[job.id])
+            [entries] = await self._fetch({job.id: last})
+            replay = deque(await self._decode(job.id, topic, entries))
             while replay or not job.state.terminal:
                 event = replay.popleft() if replay else await queue.get()
                 if event.sequence > last:  # some come by both ways
@@ -96,6 +97,9 @@ class EventFeed:
             except RedisError as error:
                 log.warning("event feed: %s; again in %s s", error, _PAUSE_S)
                 await asyncio.sleep(_PAUSE_S)
+            except Exception:
+                log.exception("event feed: unexpected; again in %s s", _PAUSE_S)
+                await asyncio.sleep(_PAUSE_S)
 
     async def _rung(self, bell: PubSub) -> Iterable[str]:
         """The jobs that rang; after _LOOK_S of silence, all that are watched."""
@@ -112,23 +116,36 @@ class EventFeed:
 
     async def _hand_out(self, job_ids: Iterable[str]) -> None:
         topics = {job_id: topic for job_id in job_ids if (topic := self._topics.get(job_id))}
-        found = await self._fetch({job_id: topic.handed_out for job_id, topic in topics.items()})
-        for job_id, topic in topics.items():
-            for event in found[job_id]:
-                topic.handed_out = event.sequence
+        streams = await self._fetch({job_id: topic.handed_out for job_id, topic in topics.items()})
+        for (job_id, topic), entries in zip(topics.items(), streams, strict=True):
+            events = await self._decode(job_id, topic, entries)
+            for event in events:
                 for watcher in topic.watchers:
                     watcher.put_nowait(event)
+            if entries:
+                topic.handed_out = sequence_of(entries[-1])
 
-    async def _fetch(self, after: Mapping[str, int]) -> dict[str, list[Event]]:
-        """The events of jobs after a sequence number each."""
+    async def _fetch(self, after: Mapping[str, int]) -> list[list[Entry]]:
+        """Of each job the entries of its stream after a sequence number."""
         async with self._redis.pipeline(transaction=False) as pipe:
             for job_id, sequence in after.items():
                 pipe.xrange(keys.EVENTS + job_id, min=f"({sequence}-0")
-            streams = await pipe.execute()
-        found = {}
-        for job_id, entries in zip(after, streams, strict=True):
-            events = [decode_event(entry) for entry in entries]
-            if events and events[-1].type is EventType.COMPLETED:
-                events[-1] = events[-1].model_copy(update={"refinement": await self._find(job_id)})
-            found[job_id] = events
-        return found
+            streams: list[list[Entry]] = await pipe.execute()
+        return streams
+
+    async def _decode(self, job_id: str, topic: _Topic, entries: Iterable[Entry]) -> list[Event]:
+        """The events that this version knows; what cannot be read is left out and logged once per job."""
+        events = []
+        for entry in entries:
+            try:
+                event = decode_event(entry)
+            except Exception as error:
+                if not topic.complained:
+                    log.warning("event feed: an event of job %s cannot be read: %s", job_id, error)
+                topic.complained = True
+                continue
+            if event is not None and event.type is EventType.COMPLETED:
+                event = event.model_copy(update={"refinement": await self._find(job_id)})
+            if event is not None:
+                events.append(event)
+        return events

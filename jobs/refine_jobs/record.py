@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from refine_proto.models import (
     Artifact,
     Event,
+    EventType,
     ProblemDetails,
     Progress,
     Refinement,
@@ -23,6 +24,7 @@ from refine_proto.models import (
 from .blobs import Blob
 
 _JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou")
+Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
 
 
@@ -127,19 +129,26 @@ def _plain(value: Any) -> Any:
     return vars(value)
 
 
-def decode_event(entry: tuple[str, Mapping[str, str]]) -> Event:
-    """From an entry of the stream."""
-    sequence, fields = entry
+def decode_event(entry: Entry) -> Event | None:
+    """From an entry of the stream; None for a type that only a newer version writes. Raises ValueError."""
+    _, fields = entry
+    if fields.get("type") not in list(EventType):
+        return None
     progress = fields.get("progress")
     return Event.model_validate(
         {
-            "sequence": sequence.partition("-")[0],
+            "sequence": sequence_of(entry),
             "type": fields["type"],
-            "time": instant(fields["time"]),
-            "state": fields["state"],
+            "time": instant(fields.get("time", "")),
+            "state": fields.get("state"),
             "progress": json.loads(progress) if progress else None,
         }
     )
+
+
+def sequence_of(entry: Entry) -> int:
+    """The number of the event, from its id <sequence>-0."""
+    return int(entry[0].partition("-")[0])
 
 
 def pairs(flat: Sequence[str]) -> dict[str, str]:

@@ -3,6 +3,7 @@
 These rules bridge the two JSON dialects: enum values are lower case in the models; a message that is nothing
 but one oneof is a union tagged by the oneof's name, `{"type": "look_at", ...}`; unset, empty and unspecified
 fields are left to the model's defaults. A matrix is rows in the models, row-major numbers on the wire.
+An enum value that only a newer version has is unspecified on the wire, and its number in the models.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 # protobuf's two implementations of Descriptor have no common base.
 Descriptor: TypeAlias = Any
 _OfMessage: TypeAlias = Callable[..., dict[str, Any]]
+_OfEnum: TypeAlias = Callable[..., str]
 
 
 def to_message(model: BaseModel, message_type: type[MessageT]) -> MessageT:
@@ -50,12 +52,12 @@ def _to_wire(data: dict[str, Any], descriptor: Descriptor) -> dict[str, Any]:
     if tag is not None:
         data = {data[tag]: {name: value for name, value in data.items() if name != tag}}
     fields = descriptor.fields_by_name
-    return {name: _each(value, fields[name], _to_wire, str.upper) for name, value in data.items()}
+    return {name: _each(value, fields[name], _to_wire, _enum_to_wire) for name, value in data.items()}
 
 
 def _from_wire(data: dict[str, Any], descriptor: Descriptor) -> dict[str, Any]:
     fields = descriptor.fields_by_name
-    values = {name: _each(value, fields[name], _from_wire, str.lower) for name, value in data.items()}
+    values = {name: _each(value, fields[name], _from_wire, _enum_from_wire) for name, value in data.items()}
     values = {
         name: v for name, v in values.items() if v not in ([], {}) and not _unspecified(v, fields[name])
     }
@@ -66,10 +68,19 @@ def _from_wire(data: dict[str, Any], descriptor: Descriptor) -> dict[str, Any]:
     return {tag: kind, **value}
 
 
-def _each(value: Any, field: FieldDescriptor, of_message: _OfMessage, of_enum: Callable[[str], str]) -> Any:
+def _enum_to_wire(value: str, descriptor: Descriptor) -> str:
+    name = value.upper()
+    return name if name in descriptor.values_by_name else str(descriptor.values_by_number[0].name)
+
+
+def _enum_from_wire(value: str | int, descriptor: Descriptor) -> str:
+    return str(value).lower()  # JSON knows a value without a name by its number
+
+
+def _each(value: Any, field: FieldDescriptor, of_message: _OfMessage, of_enum: _OfEnum) -> Any:
     """Convert one field's JSON value: item by item if repeated; maps and well-known types stay."""
     if field.enum_type is not None:
-        convert: Callable[[Any], Any] = of_enum
+        convert: Callable[[Any], Any] = partial(of_enum, descriptor=field.enum_type)
     elif field.message_type is None:
         return _flat(value) if field.is_repeated else value
     elif _is_plain(field.message_type):
@@ -88,4 +99,7 @@ def _is_plain(descriptor: Descriptor) -> bool:
 
 
 def _unspecified(value: Any, field: FieldDescriptor) -> bool:
-    return field.enum_type is not None and value == field.enum_type.values_by_number[0].name.lower()
+    """Whether an enum was left out. One that the models require is told as it is."""
+    if field.enum_type is None or not field.has_presence:
+        return False
+    return bool(value == field.enum_type.values_by_number[0].name.lower())

@@ -1,7 +1,8 @@
 """The values of the contract: REST bodies, SDK values and, through `convert`, gRPC messages.
 
 What a caller sends (RefinementSpec and what is in it) refuses unknown fields, naming the nearest valid one.
-What a server sends ignores them, so that an older client can read a newer server.
+What a server sends ignores them, and keeps a state or a preset that it does not list as it is, so that an
+older version can read a newer one.
 Conventions: world right-handed, Y up; lengths in world units of the mesh; times in UTC; units in the names.
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, field_validator
 
@@ -22,6 +23,8 @@ from .cameras import MatrixCamera as MatrixCamera
 from .formats import SILHOUETTE_THRESHOLD
 from .formats import MeshFormat as MeshFormat
 from .strict import Input, Number, Positive
+
+EnumT = TypeVar("EnumT", bound=StrEnum)
 
 # ---- what a caller sends ----
 
@@ -85,6 +88,15 @@ class RefinementRequest(RefinementSpec):
 # ---- what a server sends ----
 
 
+def _of_newer_version(kind: type[EnumT], value: str) -> EnumT:
+    """The member of this value; one of its own for a value that only a newer version lists."""
+    if value in list(kind):
+        return kind(value)
+    member = str.__new__(kind, value)
+    member._name_, member._value_ = value.upper(), value
+    return member
+
+
 class Output(BaseModel):
     """Base of everything a server sends: frozen, finite numbers; ignores the fields of a newer server."""
 
@@ -92,7 +104,10 @@ class Output(BaseModel):
 
 
 class State(StrEnum):
-    """Where a Refinement is. A terminal state is written once and never changes, until the record expires."""
+    """Where a Refinement is. A terminal state is written once and never changes, until the record expires.
+
+    Open: a state of a newer version reads as itself, is not terminal and equals its text.
+    """
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -105,7 +120,11 @@ class State(StrEnum):
     @property
     def terminal(self) -> bool:
         """Whether nothing more will happen."""
-        return self not in (State.QUEUED, State.RUNNING, State.CANCELLING)
+        return self in (State.SUCCEEDED, State.FAILED, State.CANCELLED, State.EXPIRED)
+
+    @classmethod
+    def _missing_(cls, value: object) -> State | None:
+        return _of_newer_version(cls, value) if isinstance(value, str) else None
 
 
 class Progress(Output):
@@ -187,9 +206,13 @@ class Refinement(Output):
 
     @field_validator("options", mode="before")
     @classmethod
-    def _ignore_options_of_a_newer_server(cls, value: Any) -> Any:
-        known = RefinementOptions.model_fields
-        return {k: v for k, v in value.items() if k in known} if isinstance(value, dict) else value
+    def _accept_options_of_a_newer_server(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        known = {k: v for k, v in value.items() if k in RefinementOptions.model_fields}
+        if isinstance(preset := known.get("preset"), str):
+            known["preset"] = _of_newer_version(Preset, preset)
+        return known
 
 
 class RefinementPage(Output):

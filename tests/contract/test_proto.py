@@ -277,6 +277,38 @@ def test_an_older_client_reads_a_newer_server() -> None:
     assert models.Refinement.model_validate(body | {"also_new": 2}) == a_refinement()
 
 
+def test_a_state_and_a_preset_of_a_newer_version_stay_what_they_are() -> None:
+    body = a_refinement().model_dump(mode="json") | {"state": "parked"}
+    body["options"]["preset"] = "sharp"
+    refinement = models.Refinement.model_validate(body)
+    assert (refinement.state, refinement.options.preset) == ("parked", "sharp")
+    assert not refinement.state.terminal
+    assert refinement.model_dump(mode="json") == body
+    with pytest.raises(ValidationError):
+        models.Refinement.model_validate(body | {"state": 3})
+
+
+def test_on_the_wire_they_have_numbers_or_are_unspecified() -> None:
+    message = to_message(a_refinement(), pb.Refinement)
+    newer = pb.Refinement.FromString(message.SerializeToString())
+    newer.ClearField("state")
+    newer.options.ClearField("preset")
+    newer.MergeFromString(b"\x10\x63\x1a\x02\x08\x62")  # state = 99, options.preset = 98
+    refinement = to_model(newer, models.Refinement)
+    assert (refinement.state, refinement.options.preset) == ("99", "98")
+    again = to_message(refinement, pb.Refinement)
+    assert (again.state, again.options.preset) == (pb.Refinement.STATE_UNSPECIFIED, 0)
+    assert to_model(again, models.Refinement).state == "state_unspecified"
+
+
+def test_a_required_value_that_is_left_out_is_refused_by_its_name() -> None:
+    spec = models.RefinementSpec(camera=MATRIX_CAMERA)
+    message = to_message(spec, pb.RefinementSpec)
+    message.camera.matrix.ClearField("convention")
+    with pytest.raises(ValidationError, match="'opencv', 'opengl' or 'pytorch3d'"):
+        to_model(message, models.RefinementSpec)
+
+
 def test_committed_stubs_are_what_the_generator_makes(tmp_path: Path) -> None:
     subprocess.run([ROOT / "scripts/generate-proto", tmp_path], check=True)
     made = {p.name: p.read_text() for p in (tmp_path / "refine_proto/v1").iterdir()}

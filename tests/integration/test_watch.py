@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from collections.abc import Coroutine
+from typing import TYPE_CHECKING, Any
+
+import pytest
 
 from refine_jobs import keys
 from refine_jobs.edge_store import JobStore
@@ -21,6 +24,11 @@ def progress(iteration: int) -> Progress:
 
 async def watched(store: JobStore, job_id: str, after: int = 0) -> list[Event]:
     return [event async for event in store.watch("ann", job_id, after)]
+
+
+def run(scenario: Coroutine[None, None, None]) -> None:
+    """A watcher that waits in vain is an error."""
+    asyncio.run(asyncio.wait_for(scenario, 60))
 
 
 async def joined(store: JobStore, job_id: str) -> asyncio.Task[list[int]]:
@@ -63,7 +71,7 @@ def test_replay_from_a_sequence(jobs: Jobs) -> None:
             assert await watched(store, job.id, 3) == events[3:]
             assert await watched(store, job.id, 5) == []  # nothing will follow
 
-    asyncio.run(scenario())
+    run(scenario())
 
 
 def test_events_arrive_while_watching(jobs: Jobs) -> None:
@@ -82,7 +90,7 @@ def test_events_arrive_while_watching(jobs: Jobs) -> None:
             assert (last.type, last.state) == (EventType.COMPLETED, State.CANCELLED)
             assert [event async for event in steps] == []
 
-    asyncio.run(scenario())
+    run(scenario())
 
 
 def test_watchers_of_a_deleted_job_are_told(jobs: Jobs) -> None:
@@ -96,7 +104,7 @@ def test_watchers_of_a_deleted_job_are_told(jobs: Jobs) -> None:
             assert (last.type, last.state, last.refinement) == (EventType.COMPLETED, State.EXPIRED, None)
             assert [event async for event in steps] == []
 
-    asyncio.run(scenario())
+    run(scenario())
 
 
 def test_hundreds_of_watchers_share_few_connections(jobs: Jobs) -> None:
@@ -111,7 +119,7 @@ def test_hundreds_of_watchers_share_few_connections(jobs: Jobs) -> None:
             histories = await asyncio.wait_for(asyncio.gather(*tasks), 30)
             assert {tuple(history) for history in histories} == {(1, 2, 3, 4)}
 
-    asyncio.run(scenario())
+    run(scenario())
 
 
 def test_a_feed_that_loses_its_connection_misses_nothing(jobs: Jobs) -> None:
@@ -124,7 +132,7 @@ def test_a_feed_that_loses_its_connection_misses_nothing(jobs: Jobs) -> None:
             finish(jobs, job_id)
             assert await asyncio.wait_for(task, 20) == [1, 2, 3, 4]
 
-    asyncio.run(scenario())
+    run(scenario())
 
 
 def test_a_watcher_that_joins_takes_nothing_from_another(jobs: Jobs) -> None:
@@ -146,7 +154,7 @@ def test_a_watcher_that_joins_takes_nothing_from_another(jobs: Jobs) -> None:
             assert (await asyncio.wait_for(anext(steps), 10)).sequence == 4
             assert [event async for event in steps] == []
 
-    asyncio.run(scenario())
+    run(scenario())
 
 
 def test_watchers_that_join_while_their_job_ends_miss_nothing(jobs: Jobs) -> None:
@@ -164,7 +172,90 @@ def test_watchers_that_join_while_their_job_ends_miss_nothing(jobs: Jobs) -> Non
             histories = await asyncio.wait_for(asyncio.gather(*tasks), 30)
             assert {tuple(history) for history in histories} == {(1, 2, 3, 4)}
 
-    asyncio.run(scenario())
+    run(scenario())
+
+
+STRANGE: list[dict[Any, Any]] = [
+    {"type": "resized", "state": "running", "time": 1},  # of a newer version
+    {"type": "progress", "state": "running", "time": 1, "progress": "{"},
+    {"type": "progress", "state": "running", "time": 10**30},
+    {"type": "state", "state": "running"},
+    {},
+]
+
+
+def test_an_event_that_cannot_be_read_ends_no_watch(jobs: Jobs, caplog: pytest.LogCaptureFixture) -> None:
+    """Neither one that follows its job, nor one that replays it, nor one of another job."""
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            strange, other = [(await jobs.submit(store)).refinement.id for _ in range(2)]
+            tasks = [await joined(store, strange), await joined(store, other)]
+            for fields in STRANGE:
+                sequence = jobs.redis.hincrby(keys.JOB + strange, "sequence", 1)
+                jobs.redis.xadd(keys.EVENTS + strange, {"left": "out"} | fields, f"{sequence}-0")
+            jobs.redis.publish(keys.DOORBELL, strange)
+            finish(jobs, other)
+            assert await asyncio.wait_for(tasks[1], 10) == [1, 2, 3, 4]
+            tasks[1] = await joined(store, strange)
+            finish(jobs, strange)
+            assert await asyncio.wait_for(asyncio.gather(*tasks), 10) == [[1, 7, 8, 9]] * 2
+            [line] = [record.getMessage() for record in caplog.records if "cannot be read" in record.message]
+            assert strange in line
+
+    run(scenario())
+
+
+def test_a_state_of_a_newer_version_is_shown_as_it_is(jobs: Jobs) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            steps = store.watch("ann", job_id)
+            await anext(steps)
+            jobs.redis.hset(keys.JOB + job_id, mapping={"state": "parked", "sequence": 2})
+            jobs.redis.xadd(keys.EVENTS + job_id, {"type": "state", "state": "parked", "time": 1}, "2-0")
+            jobs.redis.publish(keys.DOORBELL, job_id)
+            assert (await asyncio.wait_for(anext(steps), 10)).state == "parked"
+            assert (await store.get("ann", job_id)).state == "parked"
+            await steps.aclose()
+
+    run(scenario())
+
+
+def test_a_record_that_cannot_be_read_ends_its_watch_only(jobs: Jobs) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            strange, other = [(await jobs.submit(store)).refinement.id for _ in range(2)]
+            steps = store.watch("ann", strange)
+            await anext(steps)
+            beside = await joined(store, other)
+            job = jobs.worker.claim(strange, "slot-0")
+            assert job
+            jobs.redis.hset(keys.JOB + strange, "spec", '{"camera": {"type": "fisheye"}}')
+            jobs.worker.finish(job, [], IOU)
+            finish(jobs, other)
+            last = [event async for event in steps][-1]
+            assert (last.type, last.state, last.refinement) == (EventType.COMPLETED, State.SUCCEEDED, None)
+            assert await asyncio.wait_for(beside, 10) == [1, 2, 3, 4]
+
+    run(scenario())
+
+
+def test_a_reader_that_was_stopped_is_started_again(jobs: Jobs) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            first, second = [(await jobs.submit(store)).refinement.id for _ in range(2)]
+            tasks = [await joined(store, first)]
+            [reader] = [task for task in asyncio.all_tasks() if task.get_name() == "event feed"]
+            while not reader.done():  # redis-py may take a cancellation for the timeout of a read
+                reader.cancel()
+                await asyncio.sleep(0.01)
+            tasks.append(await joined(store, second))
+            finish(jobs, first)
+            finish(jobs, second)
+            assert await asyncio.wait_for(asyncio.gather(*tasks), 10) == [[1, 2, 3, 4]] * 2
+
+    run(scenario())
 
 
 def test_a_watcher_far_ahead_ends_with_its_job(jobs: Jobs) -> None:
@@ -180,7 +271,7 @@ def test_a_watcher_far_ahead_ends_with_its_job(jobs: Jobs) -> None:
             assert await asyncio.wait_for(ahead, 10) == []
             assert not store.feed.watchers(job_id)
 
-    asyncio.run(scenario())
+    run(scenario())
 
 
 def test_a_watcher_of_an_ended_job_whose_events_have_gone_ends(jobs: Jobs) -> None:
@@ -191,7 +282,7 @@ def test_a_watcher_of_an_ended_job_whose_events_have_gone_ends(jobs: Jobs) -> No
             jobs.redis.delete(keys.EVENTS + job_id)  # as a deletion does that comes in between
             assert await asyncio.wait_for(watched(store, job_id), 10) == []
 
-    asyncio.run(scenario())
+    run(scenario())
 
 
 def test_the_stream_is_bounded(jobs: Jobs) -> None:
@@ -206,4 +297,4 @@ def test_the_stream_is_bounded(jobs: Jobs) -> None:
             assert len(events) == keys.EVENTS_KEPT
             assert events[-1].type is EventType.COMPLETED
 
-    asyncio.run(scenario())
+    run(scenario())

@@ -58,6 +58,8 @@ class _Servicer(RefinementsServicer):
 
     def WatchRefinement(self, request: Any, context: grpc.ServicerContext) -> Iterator[Any]:
         self._run(context, "watch", lambda: None, request.after_sequence)
+        if self._script.newer:
+            yield refine_pb2.Event.FromString(b"\x10\x63\x20\x62")  # type = 99, state = 98
         for event in self._script.events(request.after_sequence):
             yield to_message(event, refine_pb2.Event)
 

@@ -80,6 +80,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(b": ping\r\n\r\n")
+        if self.script.newer:
+            self.wfile.write(b'event: resized\r\ndata: {"type": "resized", "state": "parked"}\r\n\r\n')
         for event in self.script.events(int(self.headers.get("Last-Event-ID", 0))):
             data = event.model_dump_json()
             self.wfile.write(f"id: {event.sequence}\r\nevent: {event.type}\r\ndata: {data}\r\n\r\n".encode())

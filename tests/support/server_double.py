@@ -60,6 +60,8 @@ class Script:
     error: RefineError | None = None
     hang: bool = False
     """Whether the refinement runs until it is cancelled."""
+    newer: bool = False
+    """Whether every watch begins with an event of a type and a state that only a newer version knows."""
 
     drop: Callable[[], None] = lambda: None
     """Set by the fixture: cuts all connections."""

@@ -28,6 +28,7 @@ REQUEST_ID = "x-request-id"
 OPTIONS = (("grpc.enable_retries", 0), ("grpc.primary_user_agent", "refine-client"))  # retry.py repeats
 SLOWEST_TRANSFER_BYTES_PER_S = 100_000
 _LOST = ("UNAVAILABLE", "CANCELLED", "DEADLINE_EXCEEDED", "ABORTED")
+_KNOWN_EVENTS = frozenset(refine_pb2.Event.Type.Value(name.upper()) for name in EventType)
 # What a status without a reason of ours means: a proxy's, the library's, or another server's.
 _ERROR_OF_CODE: Mapping[str, type[RefineError]] = {
     "INVALID_ARGUMENT": errors.InvalidInput,
@@ -87,7 +88,10 @@ class Events:
     def __init__(self) -> None:
         self.ended = False
 
-    def read(self, message: refine_pb2.Event) -> Event:
+    def read(self, message: refine_pb2.Event) -> Event | None:
+        """The event; None for a type that only a newer server knows."""
+        if message.type not in _KNOWN_EVENTS:
+            return None
         event = parse(message, Event)
         self.ended = event.type is EventType.COMPLETED
         return event

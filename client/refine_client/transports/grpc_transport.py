@@ -86,7 +86,8 @@ class GrpcTransport:
             call = method(request, timeout=deadline_s, metadata=metadata)
             try:
                 for message in call:
-                    yield reader.read(message)
+                    if (found := reader.read(message)) is not None:
+                        yield found
                     if reader.ended:
                         return
                 reader.check_end()
@@ -168,7 +169,8 @@ class AsyncGrpcTransport:
             call = method(request, timeout=deadline_s, metadata=metadata)
             try:
                 async for message in call:
-                    yield reader.read(message)
+                    if (found := reader.read(message)) is not None:
+                        yield found
                     if reader.ended:
                         return
                 reader.check_end()

@@ -63,7 +63,7 @@ def test_progress_tells_where_the_job_is(worker: Worker, workplace: Workplace) -
     assert job.started_at is not None
     assert job.finished_at is not None
     stream = workplace.redis.xrange(keys.EVENTS + job_id)
-    events = [event for event in map(decode_event, stream) if event.type is EventType.PROGRESS]
+    events = [event for event in map(decode_event, stream) if event and event.type is EventType.PROGRESS]
     assert 2 <= len(events) <= 2 * (job.finished_at - job.started_at).total_seconds() + 1  # the last one
     progress = [event.progress for event in events if event.progress]
     assert [p.iteration for p in progress] == sorted({p.iteration for p in progress})

@@ -199,6 +199,15 @@ def test_watch_moves_to_fresh_connections(
     assert len(script.seen("watch")) > 5  # more than the retries
 
 
+def test_what_only_a_newer_server_says_is_passed_over(face: Face, script: Script) -> None:
+    script.newer, script.ends_in = True, State("stored")
+    events = face.watch("job-1")
+    assert [event.sequence for event in events] == list(range(1, STEPS + 4))
+    assert events[-1].type is EventType.COMPLETED
+    assert face.call("get", "job-1").state not in list(State)
+    assert face.call("list").refinements[0].state not in list(State)
+
+
 def test_watch_from_a_sequence_on(face: Face) -> None:
     assert [event.sequence for event in face.watch("job-1", after_sequence=7)] == [8, 9]
 

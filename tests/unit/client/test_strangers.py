@@ -118,19 +118,12 @@ def test_a_retry_after_that_says_nothing(client: RefineClient, stranger: Strange
     assert caught.value.retry_after_s is None
 
 
-def events_answer(script: Script, before: bytes = b"") -> tuple[int, dict[str, str], bytes]:
+def events_answer(script: Script) -> tuple[int, dict[str, str], bytes]:
     events = [
         f"id: {event.sequence}\nevent: {event.type}\ndata: {event.model_dump_json()}\n\n".encode()
         for event in script.events(0)
     ]
-    return 200, {"Content-Type": "text/event-stream; charset=utf-8"}, before + b"".join(events)
-
-
-def test_events_of_a_newer_server_are_skipped(
-    client: RefineClient, stranger: Stranger, script: Script
-) -> None:
-    stranger.answers = [events_answer(script, b"id: 0\nevent: brand_new\ndata: {}\n\n")]
-    assert [event.sequence for event in client.watch("job-1")] == list(range(1, STEPS + 4))
+    return 200, {"Content-Type": "text/event-stream; charset=utf-8"}, b"".join(events)
 
 
 def test_what_is_sent_twice_is_given_once(client: RefineClient, stranger: Stranger, script: Script) -> None:
