@@ -37,7 +37,7 @@ from .delivery import Delivery
 from .feed import EventFeed
 from .record import Job, Submission, encode, to_json
 from .redis_server import RETRY_S, unavailable
-from .scripts import script
+from .scripts import Clock, Scripts
 from .settings import JobSettings
 
 _BUSY_RETRY_S = 10.0  # queue full: a job takes longer than this
@@ -56,14 +56,12 @@ class Submitted:
 class JobStore:
     """All that the edge does with jobs. Raises the errors of refine_proto.errors."""
 
-    def __init__(self, redis: Redis, settings: JobSettings) -> None:
+    def __init__(self, redis: Redis, settings: JobSettings, clock: Clock | None = None) -> None:
         self._redis: Any = redis  # redis-py's types cannot say that it decodes responses
         self._settings = settings
         self._delivery = Delivery(settings.pool)
         self.feed = EventFeed(redis, self._find)
-        self._submit = redis.register_script(script("submit"))
-        self._cancel = redis.register_script(script("cancel"))
-        self._delete = redis.register_script(script("delete"))
+        self._scripts = Scripts(redis, clock)
 
     async def close(self) -> None:
         """Stop the event feed and close the connections."""
@@ -87,16 +85,8 @@ class JobStore:
         are removed after keys.UPLOAD_S.
         """
         job_id = secrets.token_hex(16)
-        async with self._redis.pipeline(transaction=False) as pipe:
-            pipe.zcard(keys.QUEUED)
-            pipe.hget(keys.QUEUED_BY_OWNER, owner)
-            pipe.time()
-            queued, of_owner, (seconds, _) = await pipe.execute()
-        if queued >= self._settings.max_queued:
-            raise self._queue_full()
-        if int(of_owner or 0) >= self._settings.max_queued_per_owner:
-            raise self._quota_exceeded()
-        await self._redis.zadd(keys.UPLOADS, {job_id: seconds * 1000})
+        limits = (self._settings.max_queued, self._settings.max_queued_per_owner)
+        self._check_room(await self._scripts.run("begin", job_id, owner, *limits))
         return job_id
 
     @unavailable
@@ -125,25 +115,21 @@ class JobStore:
             }
         )
         timeout_s = spec.options.timeout_s or settings.job_timeout_s
-        outcome, job_id = await self._submit(
-            args=[
-                submission.id,
-                submission.owner,
-                self._idempotency_key(submission),
-                _fingerprint(submission),
-                int(settings.idempotency_s * 1000),
-                settings.max_queued,
-                settings.max_queued_per_owner,
-                int(settings.retention_s * 1000),
-                len(record),
-                *record,
-                *self._delivery.enqueue(submission.id, 1, timeout_s),
-            ]
+        outcome, job_id = await self._scripts.run(
+            "submit",
+            submission.id,
+            submission.owner,
+            self._idempotency_key(submission),
+            _fingerprint(submission),
+            int(settings.idempotency_s * 1000),
+            settings.max_queued,
+            settings.max_queued_per_owner,
+            int(settings.retention_s * 1000),
+            len(record),
+            *record,
+            *self._delivery.enqueue(submission.id, 1, timeout_s),
         )
-        if outcome == "queue_full":
-            raise self._queue_full()
-        if outcome == "quota":
-            raise self._quota_exceeded()
+        self._check_room(outcome)
         if outcome == "reused":
             raise IdempotencyKeyReused(
                 f"the idempotency key belongs to refinement {job_id} with other content; use a new key"
@@ -209,14 +195,15 @@ class JobStore:
         job = await self._job(owner, job_id)
         retention_ms = int(self._settings.retention_s * 1000)
         withdraw = self._delivery.withdraw(job_id, job.attempt + 1)
-        await self._cancel(args=[job_id, retention_ms, *withdraw])
+        await self._scripts.run("cancel", job_id, retention_ms, *withdraw)
         return await self.get(owner, job_id)
 
     @unavailable
     async def delete(self, owner: str, job_id: str) -> None:
         """Remove the record now and the blobs soon; raises Conflict while a worker has the job."""
         job = await self._job(owner, job_id)
-        if not await self._delete(args=[job_id, *self._delivery.withdraw(job_id, job.attempt + 1)]):
+        withdraw = self._delivery.withdraw(job_id, job.attempt + 1)
+        if not await self._scripts.run("delete", job_id, *withdraw):
             raise Conflict(
                 f"refinement {job_id} is running; cancel it and wait for its end before deleting it"
             )
@@ -237,17 +224,19 @@ class JobStore:
         key = submission.idempotency_key
         return keys.idempotency(submission.owner, _sha256(key)) if key else ""
 
-    def _queue_full(self) -> QueueFull:
-        return QueueFull(
-            f"the queue holds {self._settings.max_queued} jobs, its limit; try again later",
-            retry_after_s=_BUSY_RETRY_S,
-        )
-
-    def _quota_exceeded(self) -> QuotaExceeded:
-        return QuotaExceeded(
-            f"you have {self._settings.max_queued_per_owner} queued jobs, your limit; wait for some to start",
-            retry_after_s=_BUSY_RETRY_S,
-        )
+    def _check_room(self, outcome: str) -> None:
+        """Raise what `no_room` of the scripts has found."""
+        if outcome == "queue_full":
+            raise QueueFull(
+                f"the queue holds {self._settings.max_queued} jobs, its limit; try again later",
+                retry_after_s=_BUSY_RETRY_S,
+            )
+        if outcome == "quota":
+            raise QuotaExceeded(
+                f"you have {self._settings.max_queued_per_owner} queued jobs, your limit; "
+                "wait for some to start",
+                retry_after_s=_BUSY_RETRY_S,
+            )
 
 
 def _owned(owner: str, job_id: str, fields: dict[str, str]) -> Job:

@@ -1,7 +1,7 @@
 """Everything in Redis and in the blob store: every key, name and fixed lifetime, on this page.
 
 Lifetimes that an operator may choose are in settings.py. RQ has its own keys under `rq:`; nothing here
-touches them. All scripts take their time (milliseconds) from the Redis server, so that one clock rules.
+touches them. All times are milliseconds of the Redis server, so that one clock rules.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ SUBMISSIONS = "refine:submissions"  # counter: the submission number
 QUEUED = "refine:queued"  # sorted set of queued ids by submission number: queue position, global bound
 QUEUED_BY_OWNER = "refine:queued-by-owner"  # hash owner -> queued jobs; changes together with QUEUED
 LEASES = "refine:leases"  # sorted set of running ids by the end of their lease
-EXPIRY = "refine:expiry"  # sorted set of ids by the time their data goes
+EXPIRY = "refine:expiry"  # sorted set of ended ids by the time their data goes
 UPLOADS = "refine:uploads"  # sorted set of ids whose blobs are being written, by start
 TRASH = "refine:trash"  # set of ids whose blobs are to be deleted
 MISSING = "refine:missing"  # hash queued id -> when it was first not found in RQ
@@ -27,6 +27,7 @@ DOORBELL = "refine:doorbell"  # channel: the id of a job that has a new event
 EVENTS_KEPT = 1024  # per job; more than a job at two events a second for the default of iterations
 SLOT_S = 15  # a slot shows up every few seconds
 UPLOAD_S = 3_600  # an upload that has not become a job by then is removed
+LAST_WORDS_S = 60  # the events of a removed job; somebody may be watching
 MISSING_S = 30  # RQ holds no id for this long between taking a job and starting it
 RQ_TIMEOUT_MARGIN_S = 120  # RQ's own timeout is the outermost guard, after ours
 RQ_RESULT_S = 60  # RQ's view of a finished job; the truth is ours

@@ -19,7 +19,7 @@ from refine_proto.models import Artifact, Progress, SilhouetteIou, State
 from . import keys
 from .delivery import Delivery, delivery_id
 from .record import Job, encode, pairs, to_json
-from .scripts import script
+from .scripts import Clock, Scripts
 from .settings import JobSettings
 from .slots import SlotStatus
 
@@ -33,14 +33,12 @@ class LeaseLost(Exception):
 class WorkerStore:
     """All that workers do with jobs."""
 
-    def __init__(self, redis: Redis, settings: JobSettings) -> None:
+    def __init__(self, redis: Redis, settings: JobSettings, clock: Clock | None = None) -> None:
         self._redis: Any = redis  # redis-py's types cannot say that it decodes responses
         self._settings = settings
         self._delivery = Delivery(settings.pool)
-        self._scripts = {
-            name: redis.register_script(script(name))
-            for name in ("claim", "renew", "finish", "give_back", "requeue", "expire")
-        }
+        self._clock = clock
+        self._scripts = Scripts(redis, clock)
 
     # ---- a slot ----
 
@@ -130,11 +128,7 @@ class WorkerStore:
                 pipe.sadd(keys.TRASH, upload)
                 pipe.execute()
         tombstone_ms = int(self._settings.tombstone_s * 1000)
-        return [
-            job.id
-            for job in self._jobs(self._due(keys.EXPIRY))
-            if self._run("expire", job.id, tombstone_ms, *self._delivery.withdraw(job.id, job.attempt + 1))
-        ]
+        return [job_id for job_id in self._due(keys.EXPIRY) if self._run("expire", job_id, tombstone_ms)]
 
     def trash(self) -> set[str]:
         """Ids of jobs whose blobs are to be deleted."""
@@ -155,7 +149,7 @@ class WorkerStore:
         return int(self._settings.retention_s * 1000)
 
     def _run(self, name: str, *args: Any) -> Any:
-        return self._scripts[name](args=args)
+        return self._scripts.run(name, *args)
 
     def _held(self, job: Job, state: str | None) -> State:
         if state is None:
@@ -185,11 +179,15 @@ class WorkerStore:
         return self._delivery.enqueue(job.id, job.attempt + 1, job.timeout_s, at_front=True)
 
     def _due(self, key: str, age_s: int = 0) -> list[str]:
-        seconds, micros = self._redis.time()
-        due: list[str] = self._redis.zrange(
-            key, "-inf", (seconds - age_s) * 1000 + micros // 1000, byscore=True, offset=0, num=1000
-        )
+        until = self._now_ms() - age_s * 1000
+        due: list[str] = self._redis.zrange(key, "-inf", until, byscore=True, offset=0, num=1000)
         return due
+
+    def _now_ms(self) -> int:
+        if self._clock:
+            return self._clock()
+        seconds, micros = self._redis.time()
+        return int(seconds) * 1000 + int(micros) // 1000
 
     def _jobs(self, job_ids: Sequence[str]) -> Iterator[Job]:
         for job_id in job_ids:

@@ -198,7 +198,9 @@ class Refinement(Output):
     created_at: datetime
     started_at: datetime | None = None
     finished_at: datetime | None = None
-    expires_at: datetime = Field(description="When the record and its artifacts are removed.")
+    expires_at: datetime = Field(
+        description="When the record and its artifacts are removed; before the end, not sooner than this."
+    )
     queue_position: int | None = Field(None, description="Jobs ahead of this one; only while queued.")
     silhouette_iou: SilhouetteIou | None = None
     attempt: int = Field(0, description="How often a worker has started it.")

@@ -50,21 +50,39 @@ def blobs(tmp_path: Path) -> BlobStore:
     return BlobStore(str(tmp_path / "blobs"))
 
 
+class HandClock:
+    """A clock that stands until it is moved."""
+
+    def __init__(self) -> None:
+        self._now_ms = 1_800_000_000_000
+
+    def __call__(self) -> int:
+        return self._now_ms
+
+    def move(self, seconds: float) -> None:
+        self._now_ms += int(seconds * 1000)
+
+
 class Jobs:
     """Both faces of one job store, and the short ways that tests take."""
 
-    def __init__(self, url: str, redis: Redis, blobs: BlobStore, settings: JobSettings) -> None:
-        self.url, self.redis, self.blobs, self.settings = url, redis, blobs, settings
-        self.worker = WorkerStore(redis, settings)
+    def __init__(
+        self, url: str, redis: Redis, blobs: BlobStore, settings: JobSettings, clock: HandClock | None = None
+    ) -> None:
+        self.url, self.redis, self.blobs, self.settings, self._clock = url, redis, blobs, settings, clock
+        self.worker = WorkerStore(redis, settings, clock)
         self._number = itertools.count()
 
     def with_settings(self, **changes: object) -> Jobs:
         changed = JobSettings.model_validate(self.settings.model_dump() | changes)
-        return Jobs(self.url, self.redis, self.blobs, changed)
+        return Jobs(self.url, self.redis, self.blobs, changed, self._clock)
+
+    def with_clock(self, clock: HandClock) -> Jobs:
+        return Jobs(self.url, self.redis, self.blobs, self.settings, clock)
 
     @asynccontextmanager
     async def edge(self) -> AsyncIterator[JobStore]:
-        store = JobStore(connect_async(self.url), self.settings)
+        store = JobStore(connect_async(self.url), self.settings, self._clock)
         try:
             yield store
         finally:
@@ -98,6 +116,11 @@ class Jobs:
 
     def end_lease(self, job_id: str) -> None:
         self.redis.zadd(keys.LEASES, {job_id: 1})
+
+
+@pytest.fixture
+def clock() -> HandClock:
+    return HandClock()
 
 
 @pytest.fixture

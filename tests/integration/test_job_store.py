@@ -26,7 +26,7 @@ from refine_proto.errors import (
 from refine_proto.models import Artifact, Event, Progress, RefinementSpec, SilhouetteIou, State
 
 if TYPE_CHECKING:
-    from .conftest import Jobs
+    from .conftest import HandClock, Jobs
 
 IOU = SilhouetteIou(before=0.5, after=0.9)
 HALF = Progress(iteration=1, total=2, percent=50.0, losses={"total": 1.0})
@@ -274,32 +274,96 @@ def test_given_back_jobs_run_elsewhere(jobs: Jobs) -> None:
     asyncio.run(scenario())
 
 
-@pytest.mark.parametrize("queued", [True, False])
-def test_expiry_leaves_a_tombstone_and_no_bytes(jobs: Jobs, queued: bool) -> None:
-    jobs = jobs.with_settings(retention_s=0.001)
+DAY_S = 86_400  # JobSettings.retention_s
+
+
+def test_expiry_leaves_a_tombstone_and_no_bytes(jobs: Jobs, clock: HandClock) -> None:
+    jobs = jobs.with_clock(clock)
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job = jobs.worker.claim((await jobs.submit(store)).refinement.id, "slot-0")
+            assert job
+            jobs.blobs.put(keys.artifact_blob(job.id, 1, "refined.glb"), b"glb")
+            jobs.worker.finish(job, [], IOU)
+            clock.move(DAY_S - 1)
+            assert reap(jobs.worker, jobs.blobs).expired == ()
+            clock.move(1)
+            reaped = reap(jobs.worker, jobs.blobs)
+            assert (reaped.expired, reaped.blobs_deleted) == ((job.id,), 3)
+            with pytest.raises(Expired):
+                await store.get("ann", job.id)
+            with pytest.raises(NotFound):
+                await store.get("bob", job.id)
+            assert (await store.list("ann")).refinements == []
+            assert 0 < jobs.redis.pttl(keys.JOB + job.id) <= jobs.settings.tombstone_s * 1000
+            assert 0 < jobs.redis.ttl(keys.EVENTS + job.id) <= keys.LAST_WORDS_S
+            assert jobs.worker.claim(job.id, "slot-0") is None
+
+    asyncio.run(scenario())
+
+
+def test_a_job_that_waits_or_runs_does_not_expire(jobs: Jobs, clock: HandClock) -> None:
+    """Its lifetime counts from its end, however long it waits, runs, is given back and waits again."""
+    jobs = jobs.with_clock(clock)
 
     async def scenario() -> None:
         async with jobs.edge() as store:
             job_id = (await jobs.submit(store)).refinement.id
-            if not queued:
-                job = jobs.worker.claim(job_id, "slot-0")
-                assert job
-                jobs.blobs.put(keys.artifact_blob(job_id, 1, "refined.glb"), b"glb")
-                assert reap(jobs.worker, jobs.blobs).expired == ()  # not while it runs
-                jobs.worker.finish(job, [], IOU)
-                jobs.redis.zadd(keys.EXPIRY, {job_id: 1})
-                await asyncio.sleep(0.01)
-            reaped = reap(jobs.worker, jobs.blobs)
-            assert reaped.expired == (job_id,)
-            assert reaped.blobs_deleted == (2 if queued else 3)
-            with pytest.raises(Expired):
-                await store.get("ann", job_id)
-            with pytest.raises(NotFound):
-                await store.get("bob", job_id)
-            assert (await store.list("ann")).refinements == []
-            assert jobs.redis.llen("rq:queue:refine-default") == (0 if queued else 1)
-            assert 0 < jobs.redis.pttl(keys.JOB + job_id) <= jobs.settings.tombstone_s * 1000
-            assert jobs.worker.claim(job_id, "slot-0") is None
+
+            def day_passes() -> None:
+                clock.move(DAY_S + 1)
+                assert jobs.worker.expire() == []
+
+            day_passes()
+            assert (await store.get("ann", job_id)).state is State.QUEUED
+            job = jobs.worker.claim(job_id, "slot-0")
+            assert job
+            day_passes()
+            jobs.worker.give_back(job, "the worker shuts down")
+            day_passes()
+            again = jobs.worker.claim(job_id, "slot-0")
+            assert again
+            clock.move(DAY_S)
+            jobs.worker.finish(again, [], IOU)
+            done = await store.get("ann", job_id)
+            assert done.finished_at
+            assert (done.expires_at - done.finished_at).total_seconds() == DAY_S
+            clock.move(DAY_S - 1)
+            assert jobs.worker.expire() == []
+            clock.move(1)
+            assert jobs.worker.expire() == [job_id]
+
+    asyncio.run(scenario())
+
+
+def test_a_job_that_ends_while_it_is_about_to_expire_does_not_stay_for_ever(
+    jobs: Jobs, clock: HandClock
+) -> None:
+    """A reaper saw it due, for instance as version 0.1.0 queued it, and comes when it has just ended."""
+    jobs = jobs.with_clock(clock)
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            await store.cancel("ann", job_id)
+            jobs.redis.zadd(keys.EXPIRY, {job_id: 1})
+            assert jobs.worker.expire() == []
+            clock.move(DAY_S)
+            assert jobs.worker.expire() == [job_id]
+
+    asyncio.run(scenario())
+
+
+def test_queued_jobs_that_version_0_1_0_let_expire_are_kept(jobs: Jobs) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            jobs.redis.hset(keys.JOB + job_id, "expires_ms", "1")
+            jobs.redis.zadd(keys.EXPIRY, {job_id: 1})
+            assert jobs.worker.expire() == []
+            assert not jobs.redis.exists(keys.EXPIRY)
+            assert (await store.get("ann", job_id)).state is State.QUEUED
 
     asyncio.run(scenario())
 

@@ -10,6 +10,7 @@ import pytest
 
 from refine_jobs import keys
 from refine_jobs.edge_store import JobStore
+from refine_jobs.scripts import Scripts
 from refine_proto.models import Event, EventType, Progress, SilhouetteIou, State
 
 if TYPE_CHECKING:
@@ -103,6 +104,20 @@ def test_watchers_of_a_deleted_job_are_told(jobs: Jobs) -> None:
             last = await asyncio.wait_for(anext(steps), 10)
             assert (last.type, last.state, last.refinement) == (EventType.COMPLETED, State.EXPIRED, None)
             assert [event async for event in steps] == []
+
+    run(scenario())
+
+
+def test_watchers_of_a_job_that_is_deleted_as_soon_as_it_has_ended_hear_of_its_end(jobs: Jobs) -> None:
+    """Whoever watches through another service may delete it before this one has read the end."""
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            task = await joined(store, job_id)
+            finish(jobs, job_id)
+            assert Scripts(jobs.redis).run("delete", job_id)
+            assert await asyncio.wait_for(task, 10) == [1, 2, 3, 4]
 
     run(scenario())
 

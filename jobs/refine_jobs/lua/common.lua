@@ -1,13 +1,13 @@
 -- Shared by all scripts; scripts.py puts the constants of keys.py above it and one script below it.
 -- State machine: queued -> running -> (cancelling ->) succeeded | failed | cancelled; queued -> cancelled;
--- any state but running and cancelling -> expired. end_job is the only way into a terminal state.
+-- succeeded | failed | cancelled -> expired. end_job is the only way into a terminal state.
 
-local function clock()
+local function server_time()
   local time = redis.call('TIME')
   return time[1] * 1000 + math.floor(time[2] / 1000)
 end
 
-local NOW = clock()
+local NOW = tonumber(KEYS[1]) or server_time() -- milliseconds; KEYS[1]: a clock of the caller's (scripts.py)
 
 local function field(id, name)
   return redis.call('HGET', JOB .. id, name)
@@ -57,6 +57,20 @@ local function is_held(state)
   return state == 'running' or state == 'cancelling'
 end
 
+local function has_ended(state)
+  return state == 'succeeded' or state == 'failed' or state == 'cancelled'
+end
+
+-- Why one more job of the owner cannot be queued, or nothing.
+local function no_room(owner, max_queued, max_queued_per_owner)
+  if redis.call('ZCARD', QUEUED) >= tonumber(max_queued) then
+    return 'queue_full'
+  end
+  if tonumber(redis.call('HGET', QUEUED_BY_OWNER, owner) or 0) >= tonumber(max_queued_per_owner) then
+    return 'quota'
+  end
+end
+
 -- Whether `attempt` is the worker that holds the job now. A worker that lost its lease is told so and writes nothing.
 local function holds(id, attempt)
   return field(id, 'attempt') == attempt and is_held(field(id, 'state'))
@@ -83,12 +97,10 @@ local function clear(id)
   redis.call('ZREM', EXPIRY, id)
   redis.call('ZREM', OWNER .. field(id, 'owner'), id)
   redis.call('SADD', TRASH, id)
-  if state == 'queued' then -- somebody may be watching
+  if state == 'queued' then
     emit(id, 'completed', 'expired')
-    redis.call('EXPIRE', EVENTS .. id, 60)
-  else
-    redis.call('DEL', EVENTS .. id)
   end
+  redis.call('EXPIRE', EVENTS .. id, LAST_WORDS_S)
 end
 
 -- Redis commands from ARGV[first] on, each as its number of words and the words: what RQ would have sent.

@@ -19,23 +19,19 @@ if key ~= '' then
     return refuse(known_fingerprint == fingerprint and 'replayed' or 'reused', known_id)
   end
 end
-if redis.call('ZCARD', QUEUED) >= tonumber(ARGV[6]) then
-  return refuse('queue_full')
-end
-if tonumber(redis.call('HGET', QUEUED_BY_OWNER, owner) or 0) >= tonumber(ARGV[7]) then
-  return refuse('quota')
+local refusal = no_room(owner, ARGV[6], ARGV[7])
+if refusal then
+  return refuse(refusal)
 end
 
 if key ~= '' then
   redis.call('SET', key, id .. ' ' .. fingerprint, 'PX', ARGV[5])
 end
 local number = redis.call('INCR', SUBMISSIONS)
-local expires = NOW + tonumber(ARGV[8])
 local words = tonumber(ARGV[9])
 redis.call('HSET', JOB .. id, unpack(ARGV, 10, 9 + words))
 redis.call('HSET', JOB .. id, 'id', id, 'owner', owner, 'number', number, 'attempt', 0,
-  'created_ms', NOW, 'expires_ms', expires)
-redis.call('ZADD', EXPIRY, expires, id)
+  'created_ms', NOW, 'expires_ms', NOW + ARGV[8]) -- not sooner: its end sets the time
 redis.call('ZADD', OWNER .. owner, number, id)
 enter_queue(id)
 set_state(id, 'queued')
