@@ -1,6 +1,12 @@
 """Options of the whole test suite."""
 
 import pytest
+from hypothesis import settings
+
+# Property tests draw the same examples in every run. `--hypothesis-profile search` looks for new ones.
+settings.register_profile("same", derandomize=True, deadline=None, database=None)
+settings.register_profile("search", max_examples=2000, deadline=None, print_blob=True)
+settings.load_profile("same")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -22,6 +22,7 @@ class SseParser:
 
     def __init__(self) -> None:
         self._rest = b""
+        self._after_cr = False
         self._id = ""
         self._event = ""
         self._data: list[bytes] = []
@@ -29,10 +30,13 @@ class SseParser:
 
     def feed(self, portion: bytes) -> Iterator[ServerSentEvent]:
         """The events that `portion` completes."""
+        if not portion:
+            return
+        if self._after_cr:
+            portion = portion.removeprefix(b"\n")  # the second half of a CR LF
+        self._after_cr = portion.endswith(b"\r")
         text = self._rest + portion
-        ends_in_cr = text.endswith(b"\r")  # perhaps the first half of a CR LF
-        lines = (text[:-1] if ends_in_cr else text).replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
-        self._rest = lines.pop() + (b"\r" if ends_in_cr else b"")
+        *lines, self._rest = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             self._check(len(line))
             if line:

@@ -10,6 +10,7 @@ import base64
 import binascii
 import copy
 import json
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_MAX_DEPTH = 100  # of the JSON: far below where Python's recursion ends, on reading, copying or writing
 # What hides or multiplies geometry. Any other extension is left as it is.
 _REFUSED = {
     "KHR_draco_mesh_compression": "Draco compression",
@@ -144,8 +146,9 @@ class Document:
         if self.binary:
             first = (self.json.get("buffers") or [{}])[0]
             head["buffers"] = [{**first, "byteLength": len(self.binary)}]
-        text = json.dumps(head, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
-        body = _chunk(_JSON_CHUNK, text, b" ")
+        text = json.dumps(head, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+        # A name may hold half of a surrogate pair. UTF-8 has no bytes for it, JSON has an escape.
+        body = _chunk(_JSON_CHUNK, text.encode(errors="backslashreplace"), b" ")
         if self.binary:
             body += _chunk(_BINARY_CHUNK, bytes(self.binary), b"\0")
         body += self.chunks
@@ -189,18 +192,32 @@ def _glb_chunks(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _parse_json(text: bytes) -> Json:
-    def refuse_constant(name: str) -> float:
-        raise ValueError(f"{name} is not JSON")
+    """Only what can be copied and written again: a failure after the optimisation would cost minutes."""
+
+    def finite(number: str) -> float:
+        if not math.isfinite(value := float(number)):
+            raise ValueError(f"expected a number within the range of float64, got {number[:40]}")
+        return value
 
     try:
-        document = json.loads(text.decode("utf-8-sig"), parse_constant=refuse_constant)
+        document = json.loads(text.decode("utf-8-sig"), parse_float=finite, parse_constant=finite)
     except (ValueError, RecursionError) as error:
         raise MeshInvalid(f"malformed glTF: expected JSON ({error!s:.80})") from error
     if not isinstance(document, dict) or not isinstance(document.get("asset"), dict):
         raise MeshInvalid("malformed glTF: expected a JSON object with an asset")
+    if _is_deep(document):
+        raise MeshInvalid(f"expected at most {_MAX_DEPTH} levels of arrays and objects in the glTF, got more")
     if not str(document["asset"].get("version", "")).startswith("2."):
         raise FormatUnsupported(f"expected glTF version 2.0, got {document['asset'].get('version')!r:.20}")
     return document
+
+
+def _is_deep(document: Json) -> bool:
+    level: list[Json | list[Any]] = [document]
+    for _ in range(_MAX_DEPTH):
+        values = [item.values() if isinstance(item, dict) else item for item in level]
+        level = [child for children in values for child in children if isinstance(child, dict | list)]
+    return bool(level)
 
 
 def _refuse_unsupported(document: Json) -> None:

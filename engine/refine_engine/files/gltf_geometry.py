@@ -15,6 +15,7 @@ from .weld import Floats, Ints, unit
 
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 _MAX_PARTS = 20_000  # nodes, and primitives as nodes place them: each costs time however few triangles it has
+_LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # of an affine transform
 _MAX_CONDITION = 1e8  # of a node's transform: beyond it world positions cannot be taken back
 
 
@@ -160,7 +161,7 @@ def _roots(document: Document) -> list[int]:
 
 def _local_matrix(node: Json) -> Floats:
     if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+        return _affine(np.array(node["matrix"], np.float64).reshape(4, 4).T)
     matrix = np.eye(4)
     rotation = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64).reshape(4)
     x, y, z, w = unit(rotation, fallback=np.array([0.0, 0.0, 0.0, 1.0]))
@@ -171,6 +172,14 @@ def _local_matrix(node: Json) -> Floats:
     ]
     matrix[:3, :3] = np.array(rows) * np.array(node.get("scale", (1, 1, 1)), np.float64).reshape(3)
     matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64).reshape(3)
+    return matrix
+
+
+def _affine(matrix: Floats) -> Floats:
+    """The matrix or matrices (..., 4, 4), with exactly the last row that the standard asks for."""
+    if not np.allclose(matrix[..., 3, :], _LAST_ROW, atol=1e-3):
+        raise MeshInvalid("malformed glTF: expected a matrix with the last row 0 0 0 1, got another one")
+    matrix[..., 3, :] = _LAST_ROW
     return matrix
 
 
@@ -289,7 +298,7 @@ def _skin_matrices(
         if document.item("accessors", skin["inverseBindMatrices"]).get("count") != len(joints):
             raise MeshInvalid(f"malformed glTF: expected {len(joints)} inverse bind matrices")
         inverse_bind = document.read(skin["inverseBindMatrices"]).astype(np.float64)
-        pose = pose @ inverse_bind.reshape(-1, 4, 4).swapaxes(1, 2)
+        pose = pose @ _affine(inverse_bind.reshape(-1, 4, 4).swapaxes(1, 2))
     blended, total = np.zeros((count, 4, 4)), np.zeros(count)
     influences = 0
     while f"JOINTS_{influences}" in attributes:

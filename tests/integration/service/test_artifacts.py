@@ -9,6 +9,8 @@ from pathlib import Path
 import grpc
 import httpx
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from service_process import CAMERA, MESH, PNG, Hand, Service
 
 from refine_jobs import keys
@@ -75,6 +77,40 @@ def test_ranges_outside(rest: httpx.Client, path: str, asked: str) -> None:
     answer = rest.get(path, headers={"Range": asked})
     assert (answer.status_code, answer.json()["reason"]) == (416, "RANGE_NOT_SATISFIABLE")
     assert answer.headers["Content-Range"] == "bytes */200000"
+
+
+NUMBERS = st.integers(0, 3) | st.integers(199_998, 200_002) | st.integers(0, 10**18 - 1)
+RANGES = (
+    st.builds("bytes={}-{}".format, NUMBERS, NUMBERS)
+    | st.builds("bytes={}-".format, NUMBERS)
+    | st.builds("bytes=-{}".format, NUMBERS)
+    | st.text("bytes=0123456789-,", max_size=12).map(lambda rest: f"bytes={rest}")
+)
+
+
+def by_the_standard(asked: str) -> range | None:
+    """RFC 9110 section 14.1.2: the bytes asked for, empty for none of these; None: no valid single range."""
+    first, dash, last = asked.removeprefix("bytes=").partition("-")
+    if not dash or not (first + last).isdecimal():
+        return None
+    if not first:
+        return range(max(0, len(DATA) - int(last)), len(DATA))
+    if last and int(last) < int(first):
+        return None
+    return range(int(first), min(int(last) + 1 if last else len(DATA), len(DATA)))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])  # nothing changes what they hold
+@given(asked=RANGES)
+def test_any_range(rest: httpx.Client, path: str, asked: str) -> None:
+    answer, wanted = rest.get(path, headers={"Range": asked}), by_the_standard(asked)
+    if wanted is None:
+        assert (answer.status_code, answer.content) == (200, DATA)
+    elif not wanted:
+        assert (answer.status_code, answer.headers["Content-Range"]) == (416, "bytes */200000")
+    else:
+        assert (answer.status_code, answer.content) == (206, DATA[wanted.start : wanted.stop])
+        assert answer.headers["Content-Range"] == f"bytes {wanted.start}-{wanted.stop - 1}/200000"
 
 
 def test_conditions(rest: httpx.Client, path: str) -> None:

@@ -114,7 +114,7 @@ class Tools:
     split, split_faces, normals = SPLIT, SPLIT_FACES, NORMALS
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def tools() -> type[Tools]:
     return Tools
 

@@ -85,6 +85,7 @@ def too_many_instances(glb: Any) -> None:
         (cycle, MeshInvalid, "cycle"),
         (deep, MeshInvalid, "transform"),
         (flat_node, MeshInvalid, "flattens"),
+        (lambda g: g.json["nodes"][0].update(matrix=[*[1, 0, 0, 0] * 4]), MeshInvalid, "last row 0 0 0 1"),
         (too_many_nodes, MeshInvalid, "at most 20000 nodes"),
         (too_many_instances, MeshInvalid, "at most 20000 nodes"),
         (too_many_primitives, MeshInvalid, "at most 20000 primitives"),

@@ -275,6 +275,15 @@ def test_embedded_gltf_with_two_buffers_becomes_one_glb(tools: Any) -> None:
     torch.testing.assert_close(read_mesh(refined, "b.glb").mesh.vertices, vertices, rtol=0, atol=1e-6)
 
 
+def test_a_name_that_utf8_has_no_bytes_for_stays(tools: Any) -> None:
+    glb = tools.Glb()
+    glb.mesh(tools.cube, tools.cube_faces)
+    glb.json["nodes"][0]["name"] = "half a pair \ud800, and \u00e9"
+    file = read_mesh(glb.build(), "a.glb")
+    head, _ = tools.split_glb(file.with_vertices(*displaced(file)))
+    assert head["nodes"] == glb.json["nodes"]
+
+
 def test_refining_twice_adds_nothing_the_second_time(textured: bytes) -> None:
     file = read_mesh(textured, "a.glb")
     once = file.with_vertices(*displaced(file))

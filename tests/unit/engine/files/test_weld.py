@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from refine_engine.files.weld import weld
+from refine_engine.files.weld import Floats, Ints, weld
 
 
 def two(vertices: Any, faces: Any, shift: Any) -> tuple[Any, Any]:
@@ -65,3 +69,66 @@ def test_triangles_without_an_area_of_their_own_go(tools: Any) -> None:
     joined = weld(points, faces)
     assert np.array_equal(joined.faces, tools.cube_faces)
     assert joined.vertex_of[8] == 0
+
+
+@st.composite
+def soups(draw: st.DrawFn) -> tuple[Floats, Ints]:
+    """Up to ten triangles on up to 27 places, some vertices off their place by rounding. Every awkward case
+    is among them: flat triangles, doubled ones, fans that touch, vertices that no triangle uses."""
+    count = draw(st.integers(3, 12))
+    places = draw(arrays(np.float64, (count, 3), elements=st.integers(0, 2).map(float)))
+    rounding = draw(arrays(np.float64, (count, 3), elements=st.sampled_from([0.0, 0.0, 1e-6, -2e-6])))
+    faces = draw(arrays(np.int64, (draw(st.integers(1, 10)), 3), elements=st.integers(0, count - 1)))
+    return places + rounding, faces
+
+
+@given(soups())
+def test_what_every_weld_keeps(soup: tuple[Floats, Ints]) -> None:
+    positions, faces = soup
+    joined = weld(positions, faces)
+    count = len(joined.source_of)
+    assert (np.diff(joined.source_of) > 0).all()
+    assert np.array_equal(joined.vertex_of[joined.source_of], np.arange(count))
+    assert set(joined.faces.ravel().tolist()) == set(range(count))
+    assert all(len(set(face)) == 3 for face in joined.faces.tolist())
+    used = joined.vertex_of >= 0
+    assert np.abs(positions[joined.source_of][joined.vertex_of[used]] - positions[used]).max(initial=0) < 1e-5
+    kept = [face for face in joined.vertex_of[faces].tolist() if -1 not in face and len(set(face)) == 3]
+    assert kept == joined.faces.tolist()
+
+
+@given(soups(), st.randoms(use_true_random=False))
+def test_the_order_in_the_file_does_not_matter(soup: tuple[Floats, Ints], random: Any) -> None:
+    positions, faces = soup
+    old_of_new = np.array(random.sample(range(len(positions)), len(positions)))
+    order = random.sample(range(len(faces)), len(faces))
+    shuffled = weld(positions[old_of_new], np.argsort(old_of_new)[faces[order]])
+    assert groups(shuffled.vertex_of, old_of_new) == groups(
+        weld(positions, faces).vertex_of, np.arange(len(positions))
+    )
+
+
+def groups(vertex_of: Ints, name_of: Ints) -> set[frozenset[int]]:
+    """Which vertices of the file became one."""
+    members = defaultdict(set)
+    for vertex, name in zip(vertex_of.tolist(), name_of.tolist(), strict=True):
+        members[vertex].add(name)
+    return {frozenset(names) for vertex, names in members.items() if vertex >= 0}
+
+
+@given(soups(), st.integers(-30, 30))
+def test_nothing_is_left_to_join_and_units_do_not_matter(soup: tuple[Floats, Ints], exponent: int) -> None:
+    positions, faces = soup
+    joined = weld(positions, faces)
+    again = weld(positions[joined.source_of] * 2.0**exponent, joined.faces)
+    assert np.array_equal(again.faces, joined.faces)
+
+
+@given(soups())
+def test_triangles_with_corners_of_their_own_are_joined_by_place(soup: tuple[Floats, Ints]) -> None:
+    """STL and flat-shaded files: every corner is on an open border."""
+    corners = np.round(soup[0])[soup[1]]  # (F, 3, 3)
+    joined = weld(corners.reshape(-1, 3), np.arange(corners.shape[0] * 3).reshape(-1, 3))
+    proper = [triangle for triangle in corners.tolist() if len(set(map(tuple, triangle))) == 3]
+    assert len(joined.faces) == len(proper)
+    assert len(joined.source_of) == len({tuple(place) for triangle in proper for place in triangle})
