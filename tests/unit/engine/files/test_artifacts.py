@@ -100,4 +100,4 @@ def test_report_json_says_what_was_done(artifacts: dict[str, Any]) -> None:
     assert report["mesh"] == {"vertices": 8, "faces": 12, "source_vertices": 24}
     assert report["loss_curve"] == {"total": [2.0, 1.0]}
     assert report["warnings"] == ["slow"]
-    assert report["versions"]["torch"] == torch.__version__
+    assert torch.__version__.startswith(report["versions"]["torch"])  # it may end in +cu130 or +cpu
