@@ -164,6 +164,36 @@ def test_laplacian_by_hand() -> None:
     assert float(loss) == pytest.approx((math.sqrt(2) + 2 * math.sqrt(5)) / 3, rel=1e-6)
 
 
+def test_the_place_of_the_mesh_does_not_matter_to_what_smooths() -> None:
+    vertices, moved = hinge(60), hinge(60) + torch.tensor([3.0, -2.0, 5.0])
+    topology = Topology.of(torch.tensor([[0, 1, 3], [1, 0, 2]]), 4)
+    for loss in (
+        lambda v: losses.normal_consistency(v, topology),
+        lambda v: losses.laplacian(v, neighbour_mean(v, topology)),
+    ):
+        assert float(loss(moved)) == pytest.approx(float(loss(vertices)), rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
+def test_a_sliver_counts_less_whatever_its_size(size: float) -> None:
+    """Face 0-1-3 is upright, 1e-3 high and 1 long: a tenth of the height at which it would count in full."""
+    vertices = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0.5, -1, 0], [0.0, 0.0, 1e-3]])
+    topology = Topology.of(torch.tensor([[0, 1, 3], [1, 0, 2]]), 4)
+    flat, upright = vertices.clone(), vertices
+    flat[3] = torch.tensor([0.0, 1e-3, 0.0])
+    assert float(losses.normal_consistency(size * upright, topology)) == pytest.approx(1.0)
+    assert float(losses.normal_consistency(size * flat, topology)) == pytest.approx(0.9, rel=1e-3)
+
+
+def test_laplacian_of_a_vertex_among_its_neighbours_is_nearly_zero_with_a_gradient() -> None:
+    vertices = torch.zeros(3, 3, requires_grad=True)
+    loss = losses.laplacian(vertices, torch.zeros(3, 3))
+    loss.backward()
+    assert float(loss.detach()) == pytest.approx(1e-6)
+    assert vertices.grad is not None
+    assert torch.equal(vertices.grad, torch.zeros(3, 3))
+
+
 def test_gradients() -> None:
     random = torch.Generator().manual_seed(5)
 
