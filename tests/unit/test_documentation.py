@@ -1,13 +1,11 @@
-"""What the documents promise: the README's program runs, the JSON of the documents is valid."""
+"""What the documents promise: their JSON is valid, their links and scripts are there."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from refine_engine import camera_from_spec, read_camera, read_mesh
+from refine_engine import camera_from_spec, read_camera
 
 ROOT = Path(__file__).parents[2]
 
@@ -16,15 +14,6 @@ def blocks(document: str, language: str) -> list[str]:
     """The contents of the fenced code blocks of one language."""
     text = (ROOT / document).read_text()
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-
-
-def test_the_readme_program_runs(tmp_path: Path) -> None:
-    (program,) = blocks("README.md", "python")
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    subprocess.run([sys.executable, "-W", "error", "-c", program], cwd=tmp_path, check=True)
-    refined = read_mesh((tmp_path / "refined.glb").read_bytes(), "refined.glb").mesh
-    coarse = read_mesh((ROOT / "examples/samples/airplane/coarse.obj").read_bytes(), "coarse.obj").mesh
-    assert refined.faces.shape == coarse.faces.shape
 
 
 @pytest.mark.parametrize("spec", blocks("README.md", "json") + blocks("docs/conventions.md", "json"))

@@ -15,7 +15,7 @@ from refine_engine.cameras.seen import hard_silhouette
 from refine_engine.values import Camera
 
 PLUGIN = '''
-from refine_engine.scene import Mesh
+from refine_engine.values import Mesh
 
 calls = []
 

@@ -7,7 +7,7 @@ import pytest
 
 from refine_engine.commands.evaluate import eval_command
 
-SAMPLE = Path(__file__).resolve().parents[4] / "examples" / "samples" / "car"
+SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "samples" / "car"
 COARSE, TRUTH = str(SAMPLE / "coarse.obj"), str(SAMPLE / "gt.obj")
 VIEW = ["--camera", str(SAMPLE / "camera.json"), "--silhouette", str(SAMPLE / "silhouette.png")]
 

@@ -22,7 +22,7 @@ from refine_engine.scores.scores import chamfer_l2, nearest_distances, sample_su
 from refine_engine.values import Camera, Mesh, View
 
 Floats = NDArray[np.float64]
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 SAMPLES = sorted(path.name for path in (EXAMPLES / "samples").iterdir())
 
 
