@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from refine_engine.cameras.spec import AXES, Convention, camera_from_spec, other_conventions
+from refine_engine.cameras.spec import AXES, Convention, camera_from_spec, other_readings, read_camera
 from refine_engine.values import Camera
 
 WIDTH, HEIGHT = 200, 100
@@ -21,7 +21,7 @@ INTRINSICS = {"fx": 50, "fy": 60, "cx": 90, "cy": 50}
 
 
 def camera(spec: Mapping[str, Any]) -> Camera:
-    return camera_from_spec(spec, WIDTH, HEIGHT)
+    return camera_from_spec(read_camera(spec), WIDTH, HEIGHT)
 
 
 def same(one: Camera, other: Camera) -> bool:
@@ -80,5 +80,5 @@ def test_a_mislabelled_matrix_has_the_right_reading_among_the_others(
     right = written(pose, convention, direction)
     wrong = {name: value for name, value in right.items() if name != direction}
     wrong |= {"convention": wrong_convention, wrong_direction: right[direction]}
-    readings = [camera(wrong), *other_conventions(wrong, WIDTH, HEIGHT).values()]
+    readings = [camera(wrong), *other_readings(read_camera(wrong), camera(wrong)).values()]
     assert any(same(reading, camera(right)) for reading in readings)
