@@ -12,8 +12,7 @@ from pathlib import PurePath
 
 HEAD_BYTES = 1024  # of a file, enough for `recognise_mesh` and `png_size`
 MAX_IMAGE_SIDE = 4096  # pixels of a silhouette
-SILHOUETTE_THRESHOLD = 0.25  # share of full scale above which a pixel is the object: below one half, because
-# published masks are mostly alpha 127
+SILHOUETTE_THRESHOLD = 0.25  # of full scale; below one half, because published masks are mostly alpha 127
 
 
 class Damaged(ValueError):

@@ -14,6 +14,8 @@ from typing import NamedTuple
 import pytest
 
 from refine_client import cli
+from refine_proto.commands import cores
+from refine_proto.models import RefinementOptions
 
 ROOT = Path(__file__).parents[2]
 
@@ -93,6 +95,25 @@ def test_unknown_command_names_the_nearest(
 def test_unknown_command_without_a_near_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["xyzzy"]) == 2
     assert "refine --help lists them" in capsys.readouterr().err
+
+
+def test_run_and_submit_take_the_same_options() -> None:
+    files = ["mesh", "silhouette", "--camera", "camera"]
+    run = vars(parser_of("run").parse_args([*files, "-o", "out"]))
+    submit = vars(parser_of("submit").parse_args(files))
+    options = set(RefinementOptions.model_fields)
+    assert options & set(submit) == options
+    assert options & set(run) == options - {"timeout_s"}
+
+
+def test_no_command_takes_more_cores_than_its_container_allows(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    monkeypatch.setattr(cores, "CONTROL_GROUP", tmp_path)
+    (tmp_path / "cpu.max").write_text("200000 100000\n")
+    assert parser_of("run").get_default("threads") == 2
+    assert parser_of("bench").parse_args(["synthetic"]).threads == 2
 
 
 def parser_of(name: str) -> ArgumentParser:

@@ -1,4 +1,4 @@
-"""gRPC over grpcio, for threads and for asyncio. What is sent and what it means is in `rpc`."""
+"""gRPC over grpcio, for threads and for asyncio. What is sent and what it means is in `grpc_messages`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from . import grpc_messages
 
 
 class GrpcTransport:
-    """Implements `transport.Transport`."""
+    """Implements `base.Transport`."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -96,7 +96,7 @@ class GrpcTransport:
 
 
 class AsyncGrpcTransport:
-    """Implements `transport.AsyncTransport`. The channel belongs to the event loop of the first call."""
+    """Implements `base.AsyncTransport`. The channel belongs to the event loop of the first call."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection

@@ -1,4 +1,4 @@
-"""REST over httpx, for threads and for asyncio. What is sent and what it means is in `rest`."""
+"""REST over httpx, for threads and for asyncio. What is sent and what it means is in `rest_messages`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .sse import SseParser
 
 
 class RestTransport:
-    """Implements `transport.Transport`."""
+    """Implements `base.Transport`."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -92,7 +92,7 @@ class RestTransport:
 
 
 class AsyncRestTransport:
-    """Implements `transport.AsyncTransport`."""
+    """Implements `base.AsyncTransport`."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from refine_bench.command import bench_parser
-from refine_engine.commands.run import run_parser
 from refine_proto.commands import cores
 from refine_proto.commands.cores import usable_cores
 
@@ -46,10 +44,3 @@ def test_that_of_the_older_interface_too(group: Path, quota: str, usable: int) -
 
 def test_without_a_container_it_is_the_affinity(group: Path) -> None:
     assert usable_cores() == 8
-
-
-def test_commands_take_no_more_by_default(group: Path) -> None:
-    (group / "cpu.max").write_text("200000 100000\n")
-    assert run_parser().get_default("threads") == 2
-    synthetic = bench_parser().parse_args(["synthetic"])
-    assert synthetic.threads == 2

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from refine_client.commands.submit import submit_parser
-from refine_engine.commands.run import run_parser
 from refine_proto.commands.display import Display, JsonDisplay, LineDisplay, choose_display
 from refine_proto.models import (
     Event,
@@ -79,13 +77,3 @@ def test_json(capsys: Output) -> None:
     assert [event["type"] for event in events] == ["state", "progress", "progress", "progress"]
     assert warning == {"type": "warning", "warning": "the camera may look at the back"}
     assert artifacts == {"type": "artifacts", "artifacts": {"refined.glb": "out/refined.glb"}}
-
-
-def test_run_and_submit_take_the_same_options() -> None:
-    def given(parser_options: dict[str, object]) -> set[str]:
-        return {name for name in RefinementOptions.model_fields if name in parser_options}
-
-    run = run_parser().parse_args(["mesh", "silhouette", "--camera", "camera", "-o", "out"])
-    submit = submit_parser().parse_args(["mesh", "silhouette", "--camera", "camera"])
-    assert given(vars(submit)) == set(RefinementOptions.model_fields)
-    assert given(vars(run)) == given(vars(submit)) - {"timeout_s"}
