@@ -33,9 +33,7 @@ from .fragments import Fragments
 CUTOFF = math.log(1e4 - 1)  # -x where sigmoid(x) = 1e-4
 LEAST_CONFIDENCE = 1e-6  # below it ln(1 / sigma) grows no more
 NEAR = 1e-2  # least depth of a drawn vertex, in the unit of the depths: callers scale the object to length 1
-FLAT = (
-    1e-6  # several roundings of float32: area of a face, over its length times its reach, that counts as none
-)
+FLAT = 1e-6  # several roundings of float32: area that counts as none, see `orientation`
 FACES_AT_ONCE = 64  # bounds the memory of the dense evaluation
 
 
@@ -60,8 +58,9 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 def orientation(triangles: Tensor, reach: float) -> Tensor:
     """+1 where the corners turn from +x to +y, -1 the other way, 0 without an area: (F, 3, 2) -> (F,).
 
-    A point on the extension of a face that is a line is zero to all its sides, so rounding alone would decide
-    whether it is inside. `reach`: how far from the face points are asked about, pixels.
+    A point on the extension of a face that is a line is zero to all its sides: rounding alone would decide
+    whether it is inside. So twice the area must be more than FLAT times the longest side times that side and
+    `reach`, which is how far from the face points are asked about, pixels.
     """
     sides = triangles.roll(-1, 1) - triangles  # (F, 3, 2)
     longest = sides.square().sum(-1).amax(1).sqrt()
@@ -129,14 +128,10 @@ def hits(p: Tensor, triangles: Tensor, orthographic: bool) -> tuple[Tensor, Tens
     The depth is infinite where the point is outside the face.
     """
     corners = triangles[..., :2]
-    areas = [
-        cross(
-            corners[:, None, (i + 2) % 3] - corners[:, None, (i + 1) % 3], p - corners[:, None, (i + 1) % 3]
-        )
-        for i in range(3)
-    ]
+    a, b, c = (corners[:, None, i] for i in range(3))  # (F, 1, 2)
+    areas = torch.stack([cross(c - b, p - b), cross(a - c, p - c), cross(b - a, p - a)], -1)  # twice
     turn = orientation(corners, reach=0)[:, None]  # (F, 1)
-    share = torch.stack(areas, -1) * turn[..., None]  # (F, P, 3), none negative inside
+    share = areas * turn[..., None]  # (F, P, 3), none negative inside
     inside = (share >= 0).all(-1) & (turn != 0)
     z = triangles[:, None, :, 2]
     if not orthographic:
