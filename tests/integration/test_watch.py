@@ -246,7 +246,7 @@ def test_a_record_that_cannot_be_read_ends_its_watch_only(jobs: Jobs) -> None:
             beside = await joined(store, other)
             job = jobs.worker.claim(strange, "slot-0")
             assert job
-            jobs.redis.hset(keys.JOB + strange, "spec", '{"camera": {"type": "fisheye"}}')
+            jobs.redis.hset(keys.JOB + strange, "progress", "{}")
             jobs.worker.finish(job, [], IOU)
             finish(jobs, other)
             last = [event async for event in steps][-1]
