@@ -34,8 +34,10 @@ class Slot:
     ) -> None:
         self.plan, self.store, self.engine, self.settings = plan, store, engine, settings
         self.stop_at: float | None = None  # monotonic time by which a running job is given back
-        self._job_id: str | None = None
         self._state = SlotState.STARTING
+        self._job_id: str | None = None
+        self._telling = threading.Lock()  # what is told last is true
+        self._closed = False
         self._pulse_now = threading.Event()
         threading.Thread(target=self._pulse, name="pulse", daemon=True).start()
 
@@ -64,36 +66,41 @@ class Slot:
     def drain(self) -> None:
         """Take no other job; give the running one back after the grace period."""
         self.stop_at = time.monotonic() + self.settings.stop_grace_s
-        self._state = SlotState.DRAINING
         self._pulse_now.set()  # a signal handler calls this: no word to Redis from here
 
     def close(self) -> None:
         """End the engine process and disappear."""
         self.engine.kill()
-        try:
-            self.store.hide(self.name)
-        except RedisError as error:
-            log.warning("the slot could not sign off: %s", error)
+        with self._telling:
+            self._closed = True
+            try:
+                self.store.hide(self.name)
+            except RedisError as error:
+                log.warning("the slot could not sign off: %s", error)
+        self._pulse_now.set()
 
     def show(self, state: SlotState, job_id: str | None = None) -> None:
         """Tell the others what this slot does."""
-        self._state, self._job_id = state, job_id
-        self._show()
+        with self._telling:
+            self._state, self._job_id = state, job_id
+            self._tell()
 
     def _rest(self) -> None:
-        if self.stop_at is not None:
-            self.show(SlotState.DRAINING)
-        else:
-            self.show(SlotState.IDLE if self.engine.warm else SlotState.STARTING)
+        self.show(SlotState.IDLE if self.engine.warm else SlotState.STARTING)
 
     def _pulse(self) -> None:
-        while True:
-            self._show()
+        while not self._closed:
+            with self._telling:
+                self._tell()
             self._pulse_now.wait(_PULSE_S)
             self._pulse_now.clear()
 
-    def _show(self) -> None:
-        status = SlotStatus(name=self.name, device=self.plan.device, state=self._state, job_id=self._job_id)
+    def _tell(self) -> None:
+        """Both threads do; the caller holds the lock."""
+        if self._closed:
+            return
+        state = self._state if self.stop_at is None else SlotState.DRAINING
+        status = SlotStatus(name=self.name, device=self.plan.device, state=state, job_id=self._job_id)
         try:
             self.store.show(status)
         except RedisError as error:
