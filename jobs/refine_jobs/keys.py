@@ -39,10 +39,27 @@ SILHOUETTE = "silhouette"
 
 
 def lua_constants() -> str:
-    """The keys and lifetimes above as Lua locals, so that the scripts use the names of this page."""
-    values = {name: value for name, value in globals().items() if isinstance(value, str | int)}
-    lines = (f"local {k} = {v!r}" for k, v in values.items() if k.isupper())
-    return "\n".join(lines) + "\n"
+    """What the scripts use of the above, as Lua locals of the same names."""
+    values: dict[str, str | int] = {
+        "JOB": JOB,
+        "EVENTS": EVENTS,
+        "OWNER": OWNER,
+        "SUBMISSIONS": SUBMISSIONS,
+        "QUEUED": QUEUED,
+        "QUEUED_BY_OWNER": QUEUED_BY_OWNER,
+        "LEASES": LEASES,
+        "EXPIRY": EXPIRY,
+        "UPLOADS": UPLOADS,
+        "TRASH": TRASH,
+        "MISSING": MISSING,
+        "METRICS": METRICS,
+        "DOORBELL": DOORBELL,
+        "EVENTS_KEPT": EVENTS_KEPT,
+        "LAST_WORDS_S": LAST_WORDS_S,
+        "MISSING_S": MISSING_S,
+        "BUCKETS_S": BUCKETS_S,
+    }
+    return "".join(f"local {name} = {value!r}\n" for name, value in values.items())
 
 
 def queue(pool: str) -> str:
