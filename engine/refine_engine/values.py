@@ -168,7 +168,8 @@ class Progress:
 class Result:
     """What `refine` returns, in the world units of the input mesh."""
 
-    mesh: Mesh  # the input's faces, refined vertices
+    mesh: Mesh  # the input's vertices, refined, and those of its faces that are kept
+    kept_faces: Tensor  # (F,) bool, over the input's faces
     displacement: Tensor  # (V, 3) world units
     confidence: Tensor  # (V,) symmetry confidence in [0, 1]
     best_iteration: int  # the iterate returned, 1-based; 0 = the coarse mesh

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 from ..errors import OptionsInvalid
+
+Symmetry = Literal["auto", "plane", "none"]
+Topology = Literal["open", "fixed"]
 
 
 @dataclass(frozen=True)
@@ -35,22 +39,41 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class Opening:
+    """Which faces are taken to be webs over holes, see `opening`; not in the paper."""
+
+    share: float = 0.4
+    """Of a face's area that must lie outside."""
+    depth: float = 0.025
+    """How deep into the background a region must reach, in sizes of the object's picture."""
+    outline_px: float = 1.0
+    """Pixels beside the outline that count as the object: masks are no better."""
+    explained: float = 0.08
+    """Difference d below which motion alone explains the silhouettes, and no faces are taken away before."""
+
+
+@dataclass(frozen=True)
 class ProportionFit:
     """The first step of the default: scales, shear, thickness and place of the whole mesh; not in the paper.
 
-    See `proportions`. The priors weigh squares, of unit-box lengths, against the squared difference
-    of the images relative to the object's area.
+    See `proportions`. The priors weigh squares of unit-box lengths, of logarithms or of radians against
+    evidence * ln(1 + d / noise), where d is the squared difference of the images relative to the object's
+    area.
     """
 
     iterations: int = 60
-    render_size: int = 112
+    render_size: int = 160
     """Side of the square renders, pixels; at least 32, for the levels of the image pyramid."""
-    softness: float = 4e-5
+    softness: float = 1e-5
     """As in Stage; sharp, because the image pyramid reaches far and a soft outline is biased outwards."""
     learning_rate: float = 0.015
+    evidence: float = 0.04
+    """The logarithm's factor: a fit that leaves much of the difference weighs less against the priors."""
+    noise: float = 0.04
+    """The difference d below which more agreement is worth little."""
     shape_prior: float = 0.2
     """On the logarithms of the scales and on the shear."""
-    thickness_prior: float = 30.0
+    thickness_prior: float = 10.0
     """On the shift along the normals: a scale or a place explains most silhouettes as well."""
     translation_prior: float = 0.4
     """On the translation in the mirror plane."""
@@ -58,6 +81,8 @@ class ProportionFit:
     """On the translation along the viewing direction, which one silhouette hardly sees."""
     plane_prior: float = 0.002
     """On the translation along the plane's normal, over the squared distance of mesh and mirror image."""
+    camera_prior: float | None = 1.0
+    """On the rotation of the camera about the object, radians; None: the camera is exact."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +105,24 @@ class RefineConfig:
     symmetry_elevations_degrees: tuple[float, ...] = (-45.0, 45.0)
     symmetry_distance: float = 1.9
     symmetry_fov_degrees: float = 60.0
+    symmetry: Symmetry = "auto"
+    """auto: the mirror plane is found on the coarse mesh; plane: it has `symmetry_normal`; none: no terms."""
     symmetry_normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Normal of the mirror plane, world frame."""
+    """Normal of the given mirror plane, world frame."""
     symmetry_offset: float | None = None
-    """The plane is normal.x = offset, world units; None: where the mirrored mesh is nearest to itself."""
+    """The given plane is normal.x = offset, world units; None: where the mirrored mesh is nearest to itself."""
+    opening: Opening = field(default_factory=Opening)
+    """Which faces cover the silhouette's background, and are left out of the renders (paper: none)."""
+    topology: Topology = "open"
+    """open: these faces are removed from the result; fixed: it has all faces of the coarse mesh."""
+    crop: bool = True
+    """Compare images of the object, not of the whole picture (paper: False)."""
+    pyramid: bool = True
+    """Compare the silhouettes over an image pyramid, not pixel by pixel by cross entropy (paper: False)."""
+    unexplained_depth: float | None = 0.05
+    """Sizes of the object: pixels that the mesh misses by more do not pull at it; None: all do (paper)."""
+    regularise_change: bool = True
+    """Laplacian and folds of the change since the coarse mesh, not of the mesh itself (paper: False)."""
     seed: int = 0
     """Of the network's random weights."""
 
@@ -106,6 +145,12 @@ class RefineConfig:
         """The published method, for comparison with the literature: plane through the world origin."""
         return RefineConfig(
             proportions=None,
+            topology="fixed",
+            crop=False,
+            regularise_change=False,
+            pyramid=False,
+            unexplained_depth=None,
+            symmetry="plane",
             weights=Weights(),
             stages=(Stage(400, 224, 1e-4),),
             learning_rate=7e-5,

@@ -1,10 +1,10 @@
 """The method: fit a network to one mesh, its silhouettes and cameras (paper, section 3).
 
-    network -> displacement, confidence -> deform -> render -> losses -> step; keep the best; report.
+    whole mesh -> [ network -> displacement, confidence -> deform -> render -> losses -> step ] -> best iterate
 
-`refine` is the run, `Fit` its state, `Fit.step` one iteration. A step works on tensors that were there before
-it and sends nothing to the host, so that on a card it is captured in a CUDA graph (`repeatable`); the host
-looks at most twice a second.
+`refine` is the run, `Fit` what it optimises, `Fit.step` one iteration. A step works on tensors that were
+there before it and sends nothing to the host, so that on a card it is captured in a CUDA graph
+(`repeatable`); the host looks at most twice a second.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -22,17 +23,18 @@ from ..kernels import optical_depth, rasterize
 from ..kernels.graph import repeatable
 from ..values import Mesh, Progress, Result, View
 from . import losses
+from .best import Best
 from .config import RefineConfig, Stage
-from .distinct_patches import DistinctPatches
-from .network import Refiner, initialise
-from .proportions import fit_proportions
-from .symmetry import mirror_error, mirror_matrix, nearest_mirrored
+from .features import features_of
+from .network import make_network
+from .opening import find_unexplained
+from .symmetry import mirror_matrix, nearest_mirrored
 from .topology import Topology, neighbour_mean
-from .views import Frame, SymmetryViews, Target
+from .views import Frame, Region, SymmetryViews, Target
+from .whole_mesh import WholeMesh, fit_whole_mesh
 
 TERMS = ("silhouette", "image_symmetry", "vertex_symmetry", "displacement", "normal_consistency", "laplacian")
 REPORT_INTERVAL_S = 0.5
-WORTHWHILE_SHARE = 0.8  # of distinct patches: objects have 0.4 to 0.7, a mask of noise 1, at twice the cost
 
 
 def refine(
@@ -53,134 +55,111 @@ def refine(
         Diverged: a loss became NaN or infinite.
     """
     started = time.monotonic()
-    used, faces = mesh.faces.unique(return_inverse=True)
-    proportioned = move_as_a_whole(Mesh(mesh.vertices[used], faces), views, config)
-    fit = Fit(proportioned, views, config)
     iteration, reported = 0, -math.inf
+
+    def proceed() -> None:
+        if cancelled is not None and cancelled():
+            raise Cancelled(f"cancelled after {iteration} of {config.iterations} iterations")
+
+    used, faces = mesh.faces.unique(return_inverse=True)
+    whole = fit_whole_mesh(Mesh(mesh.vertices[used], faces), views, config, proceed)
+    fit = Fit(whole, config)
     for stage in config.stages:
         fit.enter(stage)
         step = repeatable(fit.step, mesh.vertices.device)
         for _ in range(stage.iterations):
-            if cancelled is not None and cancelled():
-                raise Cancelled(f"cancelled after {iteration} of {config.iterations} iterations")
+            proceed()
             step()
             iteration += 1
             now = time.monotonic()
             if report and (now - reported > REPORT_INTERVAL_S or iteration == config.iterations):
                 report(fit.progress(iteration))
                 reported = now
-    refined = Mesh(mesh.vertices.index_copy(0, used, fit.refined()), mesh.faces)
+    fit.progress(config.iterations)
+    vertices = mesh.vertices.index_copy(0, used, fit.frame.world(fit.coarse + fit.best.offsets))
+    kept = whole.there if config.topology == "open" else torch.ones_like(whole.there)
+    refined = Mesh(vertices, mesh.faces[kept])
     return Result(
         mesh=refined,
         displacement=refined.vertices - mesh.vertices,
-        confidence=torch.ones_like(mesh.vertices[:, 0]).index_copy(0, used, fit.best_confidence),
-        best_iteration=int(fit.best_iteration),
+        confidence=torch.ones_like(mesh.vertices[:, 0]).index_copy(0, used, fit.best.confidence),
+        kept_faces=kept,
+        best_iteration=int(fit.best.at),
         loss_curve=fit.loss_curve(),
         silhouette_iou_before=mean_silhouette_iou(mesh, views),
         silhouette_iou_after=mean_silhouette_iou(refined, views),
-        symmetry_offset=float(fit.frame.centre @ fit.frame.normal),
+        symmetry_offset=0.0 if whole.plane is None else whole.plane.offset,
         seconds=time.monotonic() - started,
     )
 
 
-def move_as_a_whole(mesh: Mesh, views: Sequence[View], config: RefineConfig) -> Mesh:
-    """The coarse mesh with its proportions and place fitted to the silhouettes, if the config asks for it."""
-    if config.proportions is None:
-        return mesh
-    frame = Frame.of(mesh, config)
-    error = None
-    if config.symmetry_offset is None:
-        error = mirror_error(mesh, frame.normal)(float(frame.centre @ frame.normal)) / frame.scale
-    target = Target.of(views, frame, config.proportions.render_size)
-    moved = fit_proportions(
-        frame.normalise(mesh.vertices), mesh.faces, target, frame.normal, error, config.proportions
-    )
-    return Mesh(moved * frame.scale + frame.centre, mesh.faces)
-
-
 class Fit:
-    """One run: what is fixed, the network, the optimiser, and the best iterate of the stage so far."""
+    """What one run optimises: the network, and what its losses compare."""
 
-    def __init__(self, mesh: Mesh, views: Sequence[View], config: RefineConfig) -> None:
-        self.config, self.views = config, views
-        self.frame = Frame.of(mesh, config)
-        self.coarse = self.frame.normalise(mesh.vertices)  # (V, 3)
-        self.topology = Topology.of(mesh.faces, len(mesh.vertices))
-        self.mirror = mirror_matrix(self.frame.normal)
-
-        seen = Target.of(views[:1], self.frame, config.encoder_size)
-        self.seen = seen.silhouette[:, None]  # (1, 1, N, N): the encoder looks at the first view
-        self.grid = (seen.project(self.coarse)[..., :2] * 2 / seen.side - 1)[:, None]  # (1, 1, V, 2)
-        with torch.device("meta"):  # `initialise` draws all weights: leave torch's own generator alone
-            network = Refiner()
-        network.to_empty(device="cpu")
-        initialise(network, float(self.topology.degree.mean()), torch.Generator().manual_seed(config.seed))
-        self.network = network.to(self.coarse.device)
-        on_card = self.coarse.is_cuda
-        if not on_card:
-            network.encoder.store_channels_last()
-        if config.train_encoder:
-            self.features = self._features_of_the_weights()
+    def __init__(self, whole: WholeMesh, config: RefineConfig) -> None:
+        self.config, self.views = config, whole.views
+        self.frame = Frame.of(whole.mesh, whole.plane)
+        self.coarse = self.frame.normalise(whole.mesh.vertices)  # (V, 3)
+        self.topology = Topology.of(whole.mesh.faces, len(self.coarse))
+        self.seen_faces = whole.mesh.faces[whole.there]
+        self.folds = losses.fold_angles(self.coarse, self.topology)
+        self.normal = None if whole.plane is None else whole.plane.normal
+        if config.crop:
+            self.regions = [Region.around(view, whole.mesh) for view in whole.views]
         else:
-            network.encoder.requires_grad_(False)
-            constant = network.features(self.seen, self.grid)
-            self.features = lambda: constant
-        trained = [p for p in network.parameters() if p.requires_grad]
+            self.regions = [Region.whole(view.camera) for view in whole.views]
+
+        seen = Target.of(self.views[:1], self.regions[:1], self.frame, config.encoder_size)
+        grid = (seen.project(self.coarse)[..., :2] * 2 / seen.side - 1)[:, None]  # (1, 1, V, 2)
+        self.network = make_network(float(self.topology.degree.mean()), config.seed, self.coarse.device)
+        self.features = features_of(self.network, seen.silhouette[:, None], grid, config.train_encoder)
+        trained = [p for p in self.network.parameters() if p.requires_grad]
+        on_card = self.coarse.is_cuda
         self.optimiser = torch.optim.Adam(trained, config.learning_rate, fused=True, capturable=on_card)
-
-        self.iteration = self.coarse.new_zeros(1, dtype=torch.int64)
-        self.curve = self.coarse.new_zeros(config.iterations, len(TERMS) + 1)  # weighted terms, total
+        self.best = Best(self.coarse, config.iterations, len(TERMS))
         self.iou = self.coarse.new_zeros(())
-        self.best_total = self.coarse.new_full((), math.inf)
-        self.best_offsets = torch.zeros_like(self.coarse)
-        self.best_confidence = torch.ones_like(self.coarse[:, 0])
-        self.best_iteration = torch.zeros_like(self.iteration)
-
-    def _features_of_the_weights(self) -> Callable[[], Tensor]:
-        """(V, 192) from the encoder's weights as they are then."""
-        if not self.coarse.is_cuda:
-            distinct = DistinctPatches(self.seen, self.grid)
-            if distinct.share < WORTHWHILE_SHARE:
-                return lambda: distinct.features(self.network.encoder)
-        return lambda: self.network.features(self.seen, self.grid)
 
     def enter(self, stage: Stage) -> None:
         """Totals of different stages do not compare: the best iterate is the best of the last one."""
         self.stage = stage
-        self.target = Target.of(self.views, self.frame, stage.render_size)
-        self.pairs = SymmetryViews.of(self.config, stage.render_size, self.frame.normal)
-        self.best_total.fill_(math.inf)
+        self.target = Target.of(self.views, self.regions, self.frame, stage.render_size)
+        if self.config.unexplained_depth is not None:
+            lost = find_unexplained(self.coarse, self.seen_faces, self.target, self.config.unexplained_depth)
+            self.target = replace(self.target, known=self.target.known * ~lost)
+        if self.normal is not None:
+            self.pairs = SymmetryViews.of(self.config, stage.render_size, self.normal)
+        self.best.forget()
 
     def step(self) -> None:
         """One iteration."""
         offsets, confidence = self.network(self.features(), self.coarse, self.topology)
         vertices = self.coarse + offsets
-        depth, image_symmetry_loss = self.render(vertices, confidence)
-        nearest = nearest_mirrored(vertices, self.mirror)
-        cost, weights = self.config.confidence_cost, self.config.weights
+        depth, image_symmetry = self.render(vertices, confidence)
+        weights = self.config.weights
         terms = torch.stack(
             [
-                weights.silhouette * losses.silhouette(depth, self.target.silhouette, self.target.known),
-                weights.image_symmetry * image_symmetry_loss,
-                weights.vertex_symmetry
-                * losses.vertex_symmetry(vertices, nearest, self.mirror, confidence, cost),
+                weights.silhouette * self.silhouette(depth),
+                weights.image_symmetry * image_symmetry,
+                weights.vertex_symmetry * self.vertex_symmetry(vertices, confidence),
                 weights.displacement * losses.displacement(offsets),
-                weights.normal_consistency * losses.normal_consistency(vertices, self.topology),
-                weights.laplacian * losses.laplacian(vertices, neighbour_mean(vertices, self.topology)),
+                *self.smoothness(vertices, offsets),
             ]
         )
-        total = terms.sum()
         self.optimiser.zero_grad()
-        total.backward()
+        terms.sum().backward()
         self.optimiser.step()
-        self.keep(terms.detach(), total.detach(), offsets.detach(), confidence.detach(), depth.detach())
+        self.best.keep(terms.detach(), offsets.detach(), confidence.detach())
+        covered, wanted = depth.detach() > math.log(2), self.target.silhouette > 0.5
+        torch.div((covered & wanted).sum(), (covered | wanted).sum(), out=self.iou)
 
     def render(self, vertices: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """Optical depth at the input cameras (B, N, N), and the image symmetry loss of the view pairs."""
-        faces, side = self.topology.faces, self.stage.render_size
+        faces, side = self.seen_faces, self.stage.render_size
+        screen = self.target.project(vertices)
+        if self.normal is None or not self.config.weights.image_symmetry:
+            return optical_depth(screen, faces, side, self.stage.softness), confidence.new_zeros(())
         pairs = self.pairs.project(vertices)  # (2m, V, 3)
-        screen = torch.cat([self.target.project(vertices), pairs])
-        depth = optical_depth(screen, faces, side, self.stage.softness)
+        depth = optical_depth(torch.cat([screen, pairs]), faces, side, self.stage.softness)
         inputs, m = len(self.views), len(pairs) // 2
         visible = rasterize(pairs[m:], faces, (side, side))
         seen, mirrored = depth[inputs : inputs + m], depth[inputs + m :]
@@ -188,34 +167,38 @@ class Fit:
             seen, mirrored, visible, faces, confidence, self.config.confidence_cost
         )
 
-    def keep(self, terms: Tensor, total: Tensor, offsets: Tensor, confidence: Tensor, depth: Tensor) -> None:
-        """Write the loss curve, and remember this iterate if it is the best of its stage."""
-        self.curve.index_copy_(0, self.iteration, torch.cat([terms, total[None]])[None])
-        self.iteration += 1
-        better = total < self.best_total
-        for best, now in (
-            (self.best_total, total),
-            (self.best_offsets, offsets),
-            (self.best_confidence, confidence),
-            (self.best_iteration, self.iteration),
-        ):
-            torch.where(better, now, best, out=best)
-        covered, wanted = depth > math.log(2), self.target.silhouette > 0.5
-        torch.div((covered & wanted).sum(), (covered | wanted).sum(), out=self.iou)
+    def silhouette(self, depth: Tensor) -> Tensor:
+        """Cross entropy (paper), or the squared difference over an image pyramid."""
+        loss = losses.silhouette_pyramid if self.config.pyramid else losses.silhouette
+        return loss(depth, self.target.silhouette, self.target.known)
+
+    def vertex_symmetry(self, vertices: Tensor, confidence: Tensor) -> Tensor:
+        """The loss of that name; zero for an object without a mirror plane."""
+        if self.normal is None:
+            return confidence.new_zeros(())
+        mirror = mirror_matrix(self.normal)
+        nearest = nearest_mirrored(vertices, mirror)
+        return losses.vertex_symmetry(vertices, nearest, mirror, confidence, self.config.confidence_cost)
+
+    def smoothness(self, vertices: Tensor, offsets: Tensor) -> tuple[Tensor, Tensor]:
+        """Normal consistency and Laplacian, weighted: of the mesh (paper), or of its change."""
+        weights = self.config.weights
+        if self.config.regularise_change:
+            folds = losses.fold_change(vertices, self.topology, self.folds)
+            smooth = losses.laplacian(offsets, neighbour_mean(offsets, self.topology))
+        else:
+            folds = losses.normal_consistency(vertices, self.topology)
+            smooth = losses.laplacian(vertices, neighbour_mean(vertices, self.topology))
+        return weights.normal_consistency * folds, weights.laplacian * smooth
 
     def progress(self, iteration: int) -> Progress:
         """The losses of an iteration that is done. Raises Diverged when they are not finite."""
-        values = self.curve[iteration - 1].tolist()
+        values = self.best.curve[iteration - 1].tolist()
         if not math.isfinite(values[-1]):
             raise Diverged(f"the loss became {values[-1]} by iteration {iteration}; try another seed")
         losses_by_name = dict(zip((*TERMS, "total"), values, strict=True))
         return Progress(iteration, self.config.iterations, losses_by_name, float(self.iou))
 
-    def refined(self) -> Tensor:
-        """The best iterate's vertices (V, 3), world units. Raises Diverged when no loss was finite."""
-        self.progress(self.config.iterations)
-        return (self.coarse + self.best_offsets) * self.frame.scale + self.frame.centre
-
     def loss_curve(self) -> dict[str, list[float]]:
         """Weighted terms and their total per iteration."""
-        return dict(zip((*TERMS, "total"), self.curve.T.tolist(), strict=True))
+        return dict(zip((*TERMS, "total"), self.best.curve.T.tolist(), strict=True))

@@ -12,6 +12,8 @@ from .topology import Topology
 
 __all__ = [
     "displacement",
+    "fold_angles",
+    "fold_change",
     "image_symmetry",
     "laplacian",
     "normal_consistency",
@@ -68,10 +70,26 @@ def displacement(offsets: Tensor) -> Tensor:
 
 def normal_consistency(vertices: Tensor, topology: Topology) -> Tensor:
     """Mean over hinges of 1 - cos of the fold angle; from the shared edge, so the winding does not matter."""
+    cos, _ = fold_angles(vertices, topology)
+    return (1 - cos).mean() if len(cos) else cos.sum()
+
+
+def fold_change(vertices: Tensor, topology: Topology, before: tuple[Tensor, Tensor]) -> Tensor:
+    """Mean over hinges of 1 - cos of the change of the fold angle since `before`, from `fold_angles`."""
+    cos, sin = fold_angles(vertices, topology)
+    if not len(cos):
+        return cos.sum()
+    rest = (before[0].square() + before[1].square()).clamp_min(SLIVER).sqrt()
+    return (rest - (cos * before[0] + sin * before[1]) / rest).mean()
+
+
+def fold_angles(vertices: Tensor, topology: Topology) -> tuple[Tensor, Tensor]:
+    """Cosine and sine (P,) of the fold angle at each hinge, zero where it is flat; both shrink at slivers."""
     start, end, one, other = vertices[topology.hinges].unbind(1)  # (P, 3) each
     edge = end - start
     normal, opposite = _unit_normal(edge, one - start), -_unit_normal(edge, other - start)
-    return (1 - (normal * opposite).sum(1)).mean() if len(edge) else edge.sum()
+    along = F.normalize(edge, dim=1, eps=1e-9)
+    return (normal * opposite).sum(1), (torch.linalg.cross(normal, opposite) * along).sum(1)
 
 
 def _unit_normal(side: Tensor, other_side: Tensor) -> Tensor:

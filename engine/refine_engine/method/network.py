@@ -106,6 +106,17 @@ class Refiner(nn.Module):
         return self.displacement(x), confidence[:, 0]
 
 
+def make_network(mean_degree: float, seed: int, device: torch.device) -> Refiner:
+    """A network with random weights of its own generator; torch's is left alone."""
+    with torch.device("meta"):  # `initialise` draws all weights
+        network = Refiner()
+    network.to_empty(device="cpu")
+    initialise(network, mean_degree, torch.Generator().manual_seed(seed))
+    if device.type == "cpu":
+        network.encoder.store_channels_last()
+    return network.to(device)
+
+
 def initialise(network: Refiner, mean_degree: float, generator: torch.Generator) -> None:
     """Random weights that keep the variance of activations (He et al. 2015), every draw from one generator.
 

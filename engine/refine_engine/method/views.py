@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,11 +11,13 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..cameras.project import project, reflect, stack
+from ..cameras.seen import seen_by
 from ..errors import CameraInvalid
 from ..kernels import optical_depth
 from ..values import Camera, Mesh, View
-from . import symmetry
 from .config import RefineConfig
+from .planes import MirrorPlane
+from .symmetry import rotation_from_z
 
 
 @dataclass(frozen=True)
@@ -23,21 +26,24 @@ class Frame:
 
     centre: Tensor  # (3,) world
     scale: float  # longest side of the bounding box, world units
-    normal: Tensor  # (3,) unit normal of the mirror plane
 
     @staticmethod
-    def of(mesh: Mesh, config: RefineConfig) -> Frame:
+    def of(mesh: Mesh, plane: MirrorPlane | None) -> Frame:
+        """The unit box of the mesh, moved along the plane's normal so that the plane holds the origin."""
         used = mesh.vertices[mesh.faces.unique()]
         low, high = used.amin(0), used.amax(0)
-        normal = F.normalize(used.new_tensor(config.symmetry_normal), dim=0)
-        offset = config.symmetry_offset
-        if offset is None:
-            offset = symmetry.least_mirrored_offset(mesh, normal)
         middle = (low + high) / 2
-        return Frame(middle + (offset - middle @ normal) * normal, float((high - low).max()), normal)
+        if plane is not None:
+            middle = middle + (plane.offset - middle @ plane.normal) * plane.normal
+        return Frame(middle, float((high - low).max()))
 
     def normalise(self, vertices: Tensor) -> Tensor:
+        """World (V, 3) -> normalised (V, 3)."""
         return (vertices - self.centre) / self.scale
+
+    def world(self, vertices: Tensor) -> Tensor:
+        """Normalised (V, 3) -> world (V, 3)."""
+        return vertices * self.scale + self.centre
 
     def camera(self, world_to_camera: Tensor) -> Tensor:
         """The camera moved along: (4, 4) whose unit of length is `scale`."""
@@ -48,28 +54,61 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Region:
+    """A square of a view's image, in whole pixels; it may reach beyond the image."""
+
+    left: int
+    top: int
+    side: int
+
+    @staticmethod
+    def whole(camera: Camera) -> Region:
+        """The whole image, padded to a square."""
+        side = max(camera.width, camera.height)
+        return Region(-((side - camera.width) // 2), -((side - camera.height) // 2), side)
+
+    @staticmethod
+    def around(view: View, mesh: Mesh) -> Region:
+        """The object with a margin of a tenth: where the silhouette is, and where the mesh is seen."""
+        camera = view.camera
+        rows, columns = (view.silhouette > 0.5).nonzero().unbind(1)
+        covered = seen_by(mesh, [camera]).face[0] >= 0
+        if covered.any():
+            more_rows, more_columns = covered.nonzero().unbind(1)
+            rows, columns = torch.cat([rows, more_rows]), torch.cat([columns, more_columns])
+        top, bottom = int(rows.min()), int(rows.max()) + 1
+        left, right = int(columns.min()), int(columns.max()) + 1
+        side = math.ceil(1.2 * max(bottom - top, right - left))
+        return Region((left + right - side) // 2, (top + bottom - side) // 2, side)
+
+
+@dataclass(frozen=True)
 class Target:
-    """The input views as square images of one size, each whole image padded to a square."""
+    """The input views as square images of one size."""
 
     silhouette: Tensor  # (B, N, N) coverage in [0, 1]
-    known: Tensor  # (B, N, N) 1 inside the input image, 0 in the padding
+    known: Tensor  # (B, N, N) 1 inside the input image, 0 beyond it
     world_to_camera: Tensor  # (B, 4, 4) normalised frame
     intrinsics: Tensor  # (B, 4) pixels of the square image
     orthographic: bool
 
     @staticmethod
-    def of(views: Sequence[View], frame: Frame, side: int) -> Target:
+    def of(views: Sequence[View], regions: Sequence[Region], frame: Frame, side: int) -> Target:
+        """The regions of the views, drawn at `side` x `side` pixels."""
         images, known, intrinsics = [], [], []
-        for view in views:
+        for view, region in zip(views, regions, strict=True):
             camera = view.camera
-            longest = max(camera.width, camera.height)
-            left, top = (longest - camera.width) // 2, (longest - camera.height) // 2
-            pad = (left, longest - camera.width - left, top, longest - camera.height - top)
+            pad = (
+                -region.left,
+                region.left + region.side - camera.width,
+                -region.top,
+                region.top + region.side - camera.height,
+            )  # beyond each border; negative: cut off
             images.append(resize(F.pad(view.silhouette, pad), side))
             known.append(resize(F.pad(torch.ones_like(view.silhouette), pad), side))
-            zoom = side / longest
+            zoom = side / region.side
             unit = zoom * (frame.scale if camera.projection == "orthographic" else 1.0)
-            centre = (camera.cx + left) * zoom, (camera.cy + top) * zoom
+            centre = (camera.cx - region.left) * zoom, (camera.cy - region.top) * zoom
             intrinsics.append([camera.fx * unit, camera.fy * unit, *centre])
         return Target(
             torch.stack(images),
@@ -79,14 +118,19 @@ class Target:
             _one_projection(views) == "orthographic",
         )
 
+    def background(self) -> Tensor:
+        """(B, N, N) bool: inside the image and not on the object."""
+        return (self.silhouette <= 0.5) & (self.known > 0.5)
+
     @property
     def side(self) -> int:
         """N, pixels."""
         return self.silhouette.shape[1]
 
-    def project(self, vertices: Tensor) -> Tensor:
-        """Screen coordinates (B, V, 3) of normalised vertices (V, 3)."""
-        return project(vertices, self.world_to_camera, self.intrinsics, self.orthographic)
+    def project(self, vertices: Tensor, world_to_camera: Tensor | None = None) -> Tensor:
+        """Screen coordinates (B, V, 3) of normalised vertices (V, 3), by these or other cameras (B, 4, 4)."""
+        cameras = self.world_to_camera if world_to_camera is None else world_to_camera
+        return project(vertices, cameras, self.intrinsics, self.orthographic)
 
     def optical_depth(self, vertices: Tensor, faces: Tensor, softness: float) -> Tensor:
         """(B, N, N), see `silhouette`."""
@@ -129,7 +173,7 @@ class SymmetryViews:
             for elevation in config.symmetry_elevations_degrees
         ]
         matrices, intrinsics = stack(cameras, normal.device)
-        matrices[:, :3, :3] = matrices[:, :3, :3] @ symmetry.rotation_from_z(normal).T
+        matrices[:, :3, :3] = matrices[:, :3, :3] @ rotation_from_z(normal).T
         return SymmetryViews(torch.cat([matrices, reflect(matrices, normal)]), intrinsics.repeat(2, 1))
 
     def project(self, vertices: Tensor) -> Tensor:
