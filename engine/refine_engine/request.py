@@ -37,6 +37,8 @@ class Inputs:
     ) -> Result:
         """`refine` on `device`; the result lies there and carries these warnings before its own."""
         mesh, views = self.mesh_file.mesh.to(device), [view.to(device) for view in self.views]
+        if self.mesh_file.textured:
+            config = replace(config, topology="fixed")  # a hole would show in the texture
         result = refine(mesh, views, config, report, cancelled)
         return replace(result, warnings=(*self.warnings, *result.warnings))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -155,6 +155,23 @@ class View:
 
 
 @dataclass(frozen=True)
+class MirrorPlane:
+    """The plane normal . x = offset, world frame."""
+
+    normal: Tensor  # (3,) unit
+    offset: float  # world units
+    error: float | None  # mean distance of the mirrored surface to the surface, longest sides; None: given
+
+    def moved_to(self, offset: float) -> MirrorPlane:
+        """The parallel plane there."""
+        return replace(self, offset=offset)
+
+
+Outcome = Literal["refined", "fitted", "kept"]
+"""What a run hands back: the network's best iterate, the mesh moved as a whole, or the coarse mesh."""
+
+
+@dataclass(frozen=True)
 class Progress:
     """What `report` receives after an iteration."""
 
@@ -172,10 +189,12 @@ class Result:
     kept_faces: Tensor  # (F,) bool, over the input's faces
     displacement: Tensor  # (V, 3) world units
     confidence: Tensor  # (V,) symmetry confidence in [0, 1]
-    best_iteration: int  # the iterate returned, 1-based; 0 = the coarse mesh
+    best_iteration: int  # of the network, 1-based; 0: none was returned
     loss_curve: Mapping[str, Sequence[float]]  # weighted terms and "total" per iteration
     silhouette_iou_before: float  # hard render of the coarse mesh against the input silhouette
     silhouette_iou_after: float
-    symmetry_offset: float  # of the mirror plane that was used along its normal, world units
+    outcome: Outcome
+    plane: MirrorPlane | None  # the mirror plane that was used; None: the object has none
+    camera_turn_degrees: float  # by which the cameras were corrected, about the object
     seconds: float
     warnings: tuple[str, ...] = ()

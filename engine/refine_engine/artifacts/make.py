@@ -42,8 +42,8 @@ def make_artifacts(inputs: Inputs, result: Result, config: RefineConfig) -> dict
     np.savez_compressed(arrays, **confidence_arrays(mesh_file, result, config))
     report = json.dumps(make_report(mesh_file, result, config), indent=2, allow_nan=False)
     return {
-        ArtifactName.REFINED: mesh_file.with_vertices(vertices, confidence),
-        ArtifactName.CONFIDENCE_MESH: mesh_file.confidence_glb(vertices, confidence),
+        ArtifactName.REFINED: mesh_file.with_vertices(vertices, confidence, result.kept_faces),
+        ArtifactName.CONFIDENCE_MESH: mesh_file.confidence_glb(vertices, confidence, result.mesh.faces),
         ArtifactName.CONFIDENCE_IMAGE: draw_confidence(view, result.mesh, confidence),
         ArtifactName.CONFIDENCE_ARRAYS: arrays.getvalue(),
         ArtifactName.PREVIEW: draw_preview(view, mesh_file.mesh, result.mesh, confidence),
@@ -67,15 +67,17 @@ def confidence_arrays(mesh_file: MeshFile, result: Result, config: RefineConfig)
     of_source = mesh_file.vertex_of_source
     per_source = torch.where(of_source >= 0, confidence[of_source.clamp_min(0)], torch.nan)
     coarse = Mesh(mesh_file.mesh.vertices.cpu(), mesh_file.mesh.faces.cpu())
-    frame = Frame.of(coarse, replace(config, symmetry_offset=result.symmetry_offset))
+    plane = result.plane and replace(result.plane, normal=result.plane.normal.cpu())
+    frame = Frame.of(coarse, plane)
     side = config.stages[-1].render_size
-    views = SymmetryViews.of(config, side, frame.normal)
-    vertices = result.mesh.vertices.detach().cpu()
-    fragments = rasterize(views.project(frame.normalise(vertices)), coarse.faces, (side, side))
-    maps = interpolate(fragments, coarse.faces, confidence)
+    normal = torch.tensor([0.0, 0.0, 1.0]) if plane is None else plane.normal
+    views = SymmetryViews.of(config, side, normal)
+    vertices, faces = result.mesh.vertices.detach().cpu(), result.mesh.faces.cpu()
+    fragments = rasterize(views.project(frame.normalise(vertices)), faces, (side, side))
+    maps = interpolate(fragments, faces, confidence)
     arrays = {
         "vertices": vertices,
-        "faces": coarse.faces,
+        "faces": faces,
         "vertex": confidence,
         "source_vertex": per_source,
         "views": torch.where(fragments.face >= 0, maps, torch.nan),
@@ -93,10 +95,18 @@ def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> di
     return {
         "silhouette_iou": {"before": result.silhouette_iou_before, "after": result.silhouette_iou_after},
         "best_iteration": result.best_iteration,
-        "symmetry_offset": result.symmetry_offset,
+        "outcome": result.outcome,
+        "symmetry": result.plane
+        and {
+            "normal": result.plane.normal.tolist(),
+            "offset": result.plane.offset,
+            "error": result.plane.error,
+        },
+        "camera_turn_degrees": result.camera_turn_degrees,
         "mesh": {
             "vertices": len(mesh_file.mesh.vertices),
             "faces": len(mesh_file.mesh.faces),
+            "removed_faces": int((~result.kept_faces).sum()),
             "source_vertices": len(mesh_file.vertex_of_source),
         },
         "confidence": {

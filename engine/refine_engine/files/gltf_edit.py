@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .gltf import TYPES, Document, Json, set_bounds
-from .gltf_geometry import Placement, triangle_primitives
+from .gltf import ELEMENT_ARRAY_BUFFER, TYPES, Document, Json, set_bounds
+from .gltf_geometry import TRIANGLES, Placement, local_triangles, triangle_primitives
 from .weld import Floats
 
 CONFIDENCE = "_SYMMETRY_CONFIDENCE"
@@ -62,6 +62,25 @@ def move_vertices(
             for owner in (attributes, *primitive.get("targets", [])):
                 owner.pop("TANGENT", None)
     return edited
+
+
+def keep_triangles(document: Document, placements: Sequence[Placement], kept: NDArray[np.bool_]) -> None:
+    """Leave out the triangles that are not in `kept` (F,), in the order in which `read_scene` numbers them.
+
+    Only the indices of a primitive change; one that would lose all its triangles keeps them, since glTF has
+    no empty primitive. Call it on what `move_vertices` made.
+    """
+    start = 0
+    for number in sorted({placement.node for placement in placements}):
+        for primitive in triangle_primitives(document.item("meshes", document.item("nodes", number)["mesh"])):
+            triangles = local_triangles(document, primitive)
+            still = kept[start : start + len(triangles)]
+            start += len(triangles)
+            if still.all() or not still.any():
+                continue
+            corners = triangles[still].reshape(-1, 1).astype("<u4")
+            primitive["indices"] = document.append(corners, target=ELEMENT_ARRAY_BUFFER)
+            primitive["mode"] = TRIANGLES
 
 
 def overwritable_accessors(document: Document, nodes: Set[int]) -> frozenset[int]:

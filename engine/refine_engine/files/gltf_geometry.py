@@ -253,8 +253,9 @@ def _vectors(
     return values.astype(np.float64)
 
 
-def _world_faces(document: Document, primitive: Json, placement: Placement) -> Ints:
-    count = len(placement.positions)
+def local_triangles(document: Document, primitive: Json) -> Ints:
+    """The triangles (F, 3) of a primitive, indices into its own vertices. Raises MeshInvalid."""
+    count = document.item("accessors", primitive["attributes"]["POSITION"])["count"]
     if "indices" in primitive:
         corners = document.read(primitive["indices"])
         if corners.shape[1] != 1 or corners.dtype.kind != "u":
@@ -264,7 +265,11 @@ def _world_faces(document: Document, primitive: Json, placement: Placement) -> I
         indices = np.arange(count)
     if len(indices) and indices.max() >= count:
         raise MeshInvalid(f"expected face indices from 0 to {count - 1}, got {indices.max()}")
-    faces = _triangles(indices, primitive.get("mode", TRIANGLES))
+    return _triangles(indices, primitive.get("mode", TRIANGLES))
+
+
+def _world_faces(document: Document, primitive: Json, placement: Placement) -> Ints:
+    faces = local_triangles(document, primitive)
     if np.linalg.det(placement.matrix.reshape(-1, 4, 4)[0, :3, :3]) < 0:
         faces = faces[
             :, ::-1

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from refine_proto.formats import MeshFormat, recognise_mesh
@@ -19,11 +20,11 @@ from refine_proto.formats import MeshFormat, recognise_mesh
 from ..errors import MeshInvalid
 from ..values import Mesh
 from . import gltf
-from .gltf_edit import CONFIDENCE, move_vertices, overwritable_accessors
-from .gltf_geometry import SceneGeometry, read_scene
+from .gltf_edit import CONFIDENCE, keep_triangles, move_vertices, overwritable_accessors
+from .gltf_geometry import SceneGeometry, read_scene, triangle_primitives
 from .limits import MeshLimits, one_line, refused_as
 from .polygons import mesh_document, read_polygons
-from .weld import Floats, Weld, smooth_groups, vertex_normals, weld
+from .weld import Floats, Ints, Weld, smooth_groups, vertex_normals, weld
 
 __all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "confidence_colours", "read_mesh"]
 DEFAULT_LIMITS = MeshLimits()
@@ -46,11 +47,22 @@ class MeshFile:
     _weld: Weld
     _overwritable: frozenset[int]
 
-    def with_vertices(self, vertices: Tensor, confidence: Tensor) -> bytes:
+    @property
+    def textured(self) -> bool:
+        """Some triangles have texture coordinates."""
+        return any(
+            name.startswith("TEXCOORD_")
+            for mesh in self._document.json.get("meshes", [])
+            for primitive in triangle_primitives(mesh)
+            for name in primitive["attributes"]
+        )
+
+    def with_vertices(self, vertices: Tensor, confidence: Tensor, kept: Tensor | None = None) -> bytes:
         """The file as a GLB with moved vertices (V, 3) in world units and their symmetry confidence (V,).
 
         Positions, normals, bounds and the attribute `_SYMMETRY_CONFIDENCE` are new, tangents are dropped, all
-        else is as it was read. Vertices that no triangle uses stay where they are, with confidence 0.
+        else is as it was read. Vertices that no triangle uses stay where they are, with confidence 0. Of the
+        mesh's triangles only those of `kept` (F,) bool are written, where that leaves a primitive any.
         """
         self._check(vertices, confidence)
         of_source = self._weld.vertex_of
@@ -75,22 +87,32 @@ class MeshFile:
         document = move_vertices(
             self._document, self._scene.placements, self._overwritable, positions, local_normals, sigma
         )
+        if kept is not None and not kept.all():
+            keep_triangles(document, self._scene.placements, self._kept_in_file(kept.cpu().numpy()))
         return document.to_glb()
 
-    def confidence_glb(self, vertices: Tensor, confidence: Tensor) -> bytes:
-        """The welded mesh with vertex colours from red (confidence 0) to green (confidence 1)."""
+    def _kept_in_file(self, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which triangles of the file are still there, as `kept` (F,) says of the welded mesh's."""
+        removed = np.sort(self._weld.faces[~kept], axis=1)
+        in_file = np.sort(self._weld.vertex_of[self._scene.faces], axis=1)
+        width = len(self._weld.source_of) + 1  # rows as numbers; -1, of a vertex that was left out, becomes 0
+        in_file, removed = (rows + 1 for rows in (in_file, removed))
+        return ~np.isin(_row_number(in_file, width), _row_number(removed, width))
+
+    def confidence_glb(self, vertices: Tensor, confidence: Tensor, faces: Tensor | None = None) -> bytes:
+        """The welded mesh, or these of its faces, coloured from red (confidence 0) to green (confidence 1)."""
         self._check(vertices, confidence)
         points = vertices.detach().cpu().double().numpy()
-        faces = self.mesh.faces.cpu().numpy()
+        shown = (self.mesh.faces if faces is None else faces).cpu().numpy()
         none = np.zeros_like(points)
-        normals = vertex_normals(points, points, faces, np.arange(len(points)), none)
+        normals = vertex_normals(points, points, shown, np.arange(len(points)), none)
         rgb = confidence_colours(confidence.detach().cpu().double().numpy())
         part = {
             "POSITION": points.astype("<f4"),
             "NORMAL": normals.astype("<f4"),
             "COLOR_0": np.concatenate([rgb, np.ones((len(rgb), 1))], 1).astype("<f4"),
             CONFIDENCE: confidence.detach().cpu().numpy().astype("<f4")[:, None],
-            "faces": faces,
+            "faces": shown,
         }
         matte = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
         return mesh_document([part], matte).to_glb()
@@ -111,6 +133,10 @@ class MeshFile:
             )
         if not (torch.isfinite(vertices).all() and torch.isfinite(confidence).all()):
             raise ValueError("expected finite vertices and confidence, got NaN or infinity")
+
+
+def _row_number(rows: Ints, width: int) -> Ints:
+    return (rows[:, 0] * width + rows[:, 1]) * width + rows[:, 2]
 
 
 def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> MeshFile:

@@ -81,8 +81,9 @@ class ProportionFit:
     """On the translation along the viewing direction, which one silhouette hardly sees."""
     plane_prior: float = 0.002
     """On the translation along the plane's normal, over the squared distance of mesh and mirror image."""
-    camera_prior: float | None = 1.0
-    """On the rotation of the camera about the object, radians; None: the camera is exact."""
+    camera_prior: float | None = None
+    """On the rotation of the camera about the object, radians (1.0 suits a few degrees of error); None: the
+    camera is exact."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,15 @@ class RefineConfig:
 
     proportions: ProportionFit | None = field(default_factory=ProportionFit)
     """The fit of the whole mesh before the network; None: no such step (paper)."""
-    stages: tuple[Stage, ...] = (Stage(200, 224, 3e-5),)
-    weights: Weights = field(default_factory=lambda: Weights(normal_consistency=3.0))
-    """The paper's, less the one that flattens: once the proportions are right, the rest is local."""
+    stages: tuple[Stage, ...] = (Stage(100, 224, 1e-5),)
+    weights: Weights = field(
+        default_factory=lambda: Weights(image_symmetry=0.0, displacement=300.0, normal_consistency=3.0)
+    )
+    """The paper's, without the image symmetry, whose twelve renders gain nothing beside the vertex symmetry,
+    and with small steps: once the proportions are right, the rest is small."""
     confidence_cost: float = 0.0005
     """lambda_B: what it costs to call a place asymmetric."""
-    learning_rate: float = 1.4e-4
+    learning_rate: float = 2e-4
     encoder_size: int = 112
     """Side of the silhouette that the encoder sees, pixels."""
     train_encoder: bool = False
@@ -110,7 +114,12 @@ class RefineConfig:
     symmetry_normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Normal of the given mirror plane, world frame."""
     symmetry_offset: float | None = None
-    """The given plane is normal.x = offset, world units; None: where the mirrored mesh is nearest to itself."""
+    """The given plane is normal.x = offset, world units; None: where the mirrored mesh is nearest itself."""
+    agreement: float | None = 0.9
+    """2D IoU from which a coarse mesh agrees with its silhouettes and comes back as it was: what is left is
+    the outline's own noise, and following it made more shapes worse than better. None: never (paper)."""
+    learn_confidence: bool = False
+    """Confidences from the network's head (paper: True), or those that minimise their losses."""
     opening: Opening = field(default_factory=Opening)
     """Which faces cover the silhouette's background, and are left out of the renders (paper: none)."""
     topology: Topology = "open"
@@ -146,6 +155,8 @@ class RefineConfig:
         return RefineConfig(
             proportions=None,
             topology="fixed",
+            agreement=None,
+            learn_confidence=True,
             crop=False,
             regularise_change=False,
             pyramid=False,
@@ -162,4 +173,4 @@ class RefineConfig:
     @staticmethod
     def fast() -> RefineConfig:
         """A quarter of the cost of `paper()` or less."""
-        return RefineConfig(stages=(Stage(60, 224, 3e-5),), learning_rate=2e-4)
+        return RefineConfig(stages=(Stage(40, 224, 1e-5),), learning_rate=3e-4)

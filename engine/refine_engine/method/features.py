@@ -15,8 +15,8 @@ WORTHWHILE_SHARE = 0.8  # of distinct patches: objects have 0.4 to 0.7, a mask o
 def features_of(network: Refiner, silhouette: Tensor, grid: Tensor, train: bool) -> Callable[[], Tensor]:
     """A function that gives (V, 192) from the encoder's weights as they are when it is called.
 
-    silhouette (1, 1, N, N); grid (1, 1, V, 2) as in `Refiner.features`. An encoder that is not trained is
-    asked once; one that is trained on a CPU, where the silhouette leaves enough alike, once per distinct patch.
+    silhouette (1, 1, N, N); grid (1, 1, V, 2) as in `Refiner.features`. An encoder that is not trained
+    is asked once; one that is trained on a CPU, if enough patches are alike, once per distinct patch.
     """
     if not train:
         network.encoder.requires_grad_(False)

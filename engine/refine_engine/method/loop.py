@@ -1,6 +1,6 @@
 """The method: fit a network to one mesh, its silhouettes and cameras (paper, section 3).
 
-    whole mesh -> [ network -> displacement, confidence -> deform -> render -> losses -> step ] -> best iterate
+    whole mesh -> [ network -> displacement, confidence -> deform -> render -> losses -> step ] -> judge
 
 `refine` is the run, `Fit` what it optimises, `Fit.step` one iteration. A step works on tensors that were
 there before it and sends nothing to the host, so that on a card it is captured in a CUDA graph
@@ -28,7 +28,8 @@ from .config import RefineConfig, Stage
 from .features import features_of
 from .network import make_network
 from .opening import find_unexplained
-from .symmetry import mirror_matrix, nearest_mirrored
+from .outcome import State, confidence_of, judge, keep
+from .symmetry import best_confidence, mirror_matrix, nearest_mirrored
 from .topology import Topology, neighbour_mean
 from .views import Frame, Region, SymmetryViews, Target
 from .whole_mesh import WholeMesh, fit_whole_mesh
@@ -55,49 +56,74 @@ def refine(
         Diverged: a loss became NaN or infinite.
     """
     started = time.monotonic()
+    iou_before = mean_silhouette_iou(mesh, views)
+    used, faces = mesh.faces.unique(return_inverse=True)
+    compact = Mesh(mesh.vertices[used], faces)
+    if config.agreement is not None and iou_before >= config.agreement:
+        state = keep(compact, views, config, iou_before, report)
+    else:
+        state = _optimise(compact, views, config, iou_before, report, cancelled)
+    there = state.there if config.topology == "open" else torch.ones_like(state.there)
+    vertices = mesh.vertices.index_copy(0, used, state.mesh.vertices)
+    return Result(
+        mesh=Mesh(vertices, mesh.faces[there]),
+        kept_faces=there,
+        displacement=vertices - mesh.vertices,
+        confidence=torch.ones_like(vertices[:, 0]).index_copy(0, used, state.confidence),
+        best_iteration=state.best_iteration,
+        loss_curve=state.loss_curve,
+        silhouette_iou_before=iou_before,
+        silhouette_iou_after=mean_silhouette_iou(Mesh(vertices, mesh.faces[there]), views),
+        outcome=state.outcome,
+        plane=state.plane,
+        camera_turn_degrees=state.camera_turn_degrees,
+        seconds=time.monotonic() - started,
+        warnings=state.warnings,
+    )
+
+
+def _optimise(
+    mesh: Mesh,
+    views: Sequence[View],
+    config: RefineConfig,
+    iou_before: float,
+    report: Callable[[Progress], None] | None,
+    cancelled: Callable[[], bool] | None,
+) -> State:
+    """Fit the mesh as a whole, then the network; every vertex of `mesh` is used by a face."""
     iteration, reported = 0, -math.inf
 
     def proceed() -> None:
+        nonlocal reported
         if cancelled is not None and cancelled():
             raise Cancelled(f"cancelled after {iteration} of {config.iterations} iterations")
+        now = time.monotonic()
+        if report and iteration == 0 and now - reported > REPORT_INTERVAL_S:
+            report(Progress(0, config.iterations, {}, iou_before))
+            reported = now
 
-    used, faces = mesh.faces.unique(return_inverse=True)
-    whole = fit_whole_mesh(Mesh(mesh.vertices[used], faces), views, config, proceed)
+    whole = fit_whole_mesh(mesh, views, config, proceed)
     fit = Fit(whole, config)
     for stage in config.stages:
         fit.enter(stage)
-        step = repeatable(fit.step, mesh.vertices.device)
-        for _ in range(stage.iterations):
-            proceed()
-            step()
-            iteration += 1
-            now = time.monotonic()
-            if report and (now - reported > REPORT_INTERVAL_S or iteration == config.iterations):
-                report(fit.progress(iteration))
-                reported = now
+        with repeatable(fit.step, mesh.vertices.device) as step:
+            for _ in range(stage.iterations):
+                proceed()
+                step()
+                iteration += 1
+                now = time.monotonic()
+                if report and (now - reported > REPORT_INTERVAL_S or iteration == config.iterations):
+                    report(fit.progress(iteration))
+                    reported = now
     fit.progress(config.iterations)
-    vertices = mesh.vertices.index_copy(0, used, fit.frame.world(fit.coarse + fit.best.offsets))
-    kept = whole.there if config.topology == "open" else torch.ones_like(whole.there)
-    refined = Mesh(vertices, mesh.faces[kept])
-    return Result(
-        mesh=refined,
-        displacement=refined.vertices - mesh.vertices,
-        confidence=torch.ones_like(mesh.vertices[:, 0]).index_copy(0, used, fit.best.confidence),
-        kept_faces=kept,
-        best_iteration=int(fit.best.at),
-        loss_curve=fit.loss_curve(),
-        silhouette_iou_before=mean_silhouette_iou(mesh, views),
-        silhouette_iou_after=mean_silhouette_iou(refined, views),
-        symmetry_offset=0.0 if whole.plane is None else whole.plane.offset,
-        seconds=time.monotonic() - started,
-    )
+    return judge(mesh, State.of(whole, config), fit.state(), whole.views, config, iou_before)
 
 
 class Fit:
     """What one run optimises: the network, and what its losses compare."""
 
     def __init__(self, whole: WholeMesh, config: RefineConfig) -> None:
-        self.config, self.views = config, whole.views
+        self.whole, self.config, self.views = whole, config, whole.views
         self.frame = Frame.of(whole.mesh, whole.plane)
         self.coarse = self.frame.normalise(whole.mesh.vertices)  # (V, 3)
         self.topology = Topology.of(whole.mesh.faces, len(self.coarse))
@@ -134,6 +160,8 @@ class Fit:
         """One iteration."""
         offsets, confidence = self.network(self.features(), self.coarse, self.topology)
         vertices = self.coarse + offsets
+        if not self.config.learn_confidence:
+            confidence = self.best_confidence(vertices)
         depth, image_symmetry = self.render(vertices, confidence)
         weights = self.config.weights
         terms = torch.stack(
@@ -180,6 +208,14 @@ class Fit:
         nearest = nearest_mirrored(vertices, mirror)
         return losses.vertex_symmetry(vertices, nearest, mirror, confidence, self.config.confidence_cost)
 
+    def best_confidence(self, vertices: Tensor) -> Tensor:
+        """(V,), see `symmetry.best_confidence`; zero for an object without a mirror plane."""
+        if self.normal is None:
+            return torch.zeros_like(vertices[:, 0])
+        mirror = mirror_matrix(self.normal)
+        distance2 = (vertices @ mirror - vertices[nearest_mirrored(vertices, mirror)]).square().sum(1)
+        return best_confidence(distance2, self.config.confidence_cost)
+
     def smoothness(self, vertices: Tensor, offsets: Tensor) -> tuple[Tensor, Tensor]:
         """Normal consistency and Laplacian, weighted: of the mesh (paper), or of its change."""
         weights = self.config.weights
@@ -190,6 +226,21 @@ class Fit:
             folds = losses.normal_consistency(vertices, self.topology)
             smooth = losses.laplacian(vertices, neighbour_mean(vertices, self.topology))
         return weights.normal_consistency * folds, weights.laplacian * smooth
+
+    def state(self) -> State:
+        """The best iterate, world frame."""
+        mesh = Mesh(self.frame.world(self.coarse + self.best.offsets), self.whole.mesh.faces)
+        confidence = self.best.confidence
+        if not self.config.learn_confidence:
+            confidence = confidence_of(mesh, self.whole.plane, self.config)
+        return replace(
+            State.of(self.whole, self.config),
+            outcome="refined",
+            mesh=mesh,
+            confidence=confidence,
+            best_iteration=int(self.best.at),
+            loss_curve=self.loss_curve(),
+        )
 
     def progress(self, iteration: int) -> Progress:
         """The losses of an iteration that is done. Raises Diverged when they are not finite."""

@@ -45,7 +45,8 @@ def find_unexplained(vertices: Tensor, faces: Tensor, target: Target, depth: flo
     """
     covered = rasterize(target.project(vertices), faces, (target.side, target.side)).face >= 0
     wanted = target.silhouette > 0.5
-    return torch.stack([_deep(*pair, depth) | _deep(*reversed(pair), depth) for pair in zip(wanted, covered)])
+    pairs = zip(wanted, covered, strict=True)
+    return torch.stack([_deep(one, other, depth) | _deep(other, one, depth) for one, other in pairs])
 
 
 def _deep(one: Tensor, other: Tensor, depth: float) -> Tensor:

@@ -9,15 +9,12 @@ that predict in the object's frame have the plane there exactly, and their mesh 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from torch import Tensor
 
-from ..values import Mesh
+from ..values import Mesh, MirrorPlane
 from .config import RefineConfig
 from .symmetry import least_mirrored_offset, mirror_error, surface_points
 
@@ -33,19 +30,6 @@ NEAR = 0.01  # longest sides: the distance at which a match begins to lose weigh
 AXIS_TOLERANCE = 1.15  # how much worse than the best plane one across a world axis may be
 NO_SYMMETRY = 0.06  # longest sides: a surface whose mirror image is farther away has no mirror plane
 WORLD_AXES = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))  # the paper's first
-
-
-@dataclass(frozen=True)
-class MirrorPlane:
-    """The plane normal . x = offset, world frame."""
-
-    normal: Tensor  # (3,) unit
-    offset: float  # world units
-    error: float | None  # mean distance of the mirrored surface to the surface, longest sides; None: given
-
-    def moved_to(self, offset: float) -> MirrorPlane:
-        """The parallel plane there."""
-        return replace(self, offset=offset)
 
 
 def mirror_plane(mesh: Mesh, config: RefineConfig) -> MirrorPlane | None:

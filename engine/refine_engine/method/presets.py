@@ -21,16 +21,20 @@ def make_config(
     preset: str = "default",
     iterations: int | None = None,
     seed: int = 0,
-    symmetry_normal: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    symmetry_normal: tuple[float, float, float] | None = None,
     symmetry_offset: float | None = None,
 ) -> RefineConfig:
-    """The preset with the given choices; `iterations` and `symmetry_offset` of None leave the preset's.
+    """The preset with the given choices; None leaves the preset's. A plane that is given is not searched for.
 
     Raises OptionsInvalid.
     """
     if preset not in PRESETS:
         raise OptionsInvalid(f"expected preset to be one of {', '.join(PRESETS)}, got {preset!r:.60}")
-    config = replace(PRESETS[preset](), seed=seed, symmetry_normal=symmetry_normal)
+    config = replace(PRESETS[preset](), seed=seed)
+    if symmetry_normal is not None or symmetry_offset is not None:
+        config = replace(config, symmetry="plane")
+    if symmetry_normal is not None:
+        config = replace(config, symmetry_normal=symmetry_normal)
     if symmetry_offset is not None:
         config = replace(config, symmetry_offset=symmetry_offset)
     if iterations is not None:

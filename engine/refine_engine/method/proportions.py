@@ -28,9 +28,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..kernels import optical_depth
+from ..values import MirrorPlane
 from . import losses
 from .config import ProportionFit
-from .planes import MirrorPlane
 from .sparse import SparseMatrix
 from .symmetry import rotation_from_z
 from .views import Target

@@ -14,9 +14,8 @@ from ..cameras.project import project, reflect, stack
 from ..cameras.seen import seen_by
 from ..errors import CameraInvalid
 from ..kernels import optical_depth
-from ..values import Camera, Mesh, View
+from ..values import Camera, Mesh, MirrorPlane, View
 from .config import RefineConfig
-from .planes import MirrorPlane
 from .symmetry import rotation_from_z
 
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ..values import Mesh, View
+from ..values import Mesh, MirrorPlane, View
 from .config import RefineConfig
 from .opening import find_outside
-from .planes import MirrorPlane, mirror_plane
+from .planes import mirror_plane
 from .proportions import Fitted, difference, fit_proportions, turned
 from .views import Frame, Region, Target
 
