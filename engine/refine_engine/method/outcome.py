@@ -77,12 +77,11 @@ def judge(
     if config.proportions is None or refined.silhouette_iou(views, config) >= iou_before:
         return refined
     told = "the network's result agreed less with the silhouette than the coarse mesh did"
-    history = {"best_iteration": 0, "loss_curve": refined.loss_curve}
     if fitted.silhouette_iou(views, config) >= iou_before:
-        return replace(fitted, **history, warnings=(f"{told}: the mesh was moved as a whole only",))
-    return replace(
-        keep(coarse, views, config, iou_before), **history, warnings=(f"{told}: it is returned as it came",)
-    )
+        state, now = fitted, "the mesh was moved as a whole only"
+    else:
+        state, now = keep(coarse, views, config, iou_before), "it is returned as it came"
+    return replace(state, loss_curve=refined.loss_curve, warnings=(f"{told}: {now}",))
 
 
 def confidence_of(mesh: Mesh, plane: MirrorPlane | None, config: RefineConfig) -> Tensor:

@@ -1,10 +1,11 @@
 """The mirror plane of an object, found on its coarse mesh in any direction.
 
 Nobody tells a service where the mirror plane is, and a mesh in the frame of its camera has it anywhere. A
-plane is as good as the surface mirrored in it is near to the surface. The search looks at normals all over the
-half sphere, improves the best few by matching each mirrored point with its nearest one (the iterated closest
-points of Besl and McKay 1992, for a reflection), and prefers a world axis that is as good as any: networks
-that predict in the object's frame have the plane there exactly, and their mesh is only nearly symmetric.
+plane is as good as the surface mirrored in it is near to the surface. The search looks at normals all over
+the half sphere, improves the best few by matching each mirrored point with its nearest one (the iterated
+closest points of Besl and McKay 1992, for a reflection), and prefers a world axis that is as good as any:
+networks that predict in the object's frame have the plane there exactly, and their mesh is only nearly
+symmetric.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ change as much as a wrong bend. So the first step moves the mesh as a whole, wit
 mirror plane a mirror plane: scales along the normal and along two directions in the plane, shear and rotation
 in the plane, translation, and thickness, which shifts all vertices along their normals. (Networks extract
 their surface below one half of occupancy, so as not to lose thin parts: everything is too fat by one length,
-which no scale undoes.) Three more numbers turn the camera about the object, since a turned object has a turned
-mirror plane, and given cameras are a few degrees off. It costs one render per iteration.
+which no scale undoes.) Three more numbers, if the config wants them, turn the camera about the object: given
+cameras are often a few degrees off. It costs one render per iteration.
 
 The silhouette is compared at every scale of an image pyramid: a sharp render says where the outline is
 without bias, and the coarse levels pull it from far away, where a soft render would have to be blurred and

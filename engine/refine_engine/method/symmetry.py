@@ -36,7 +36,9 @@ def nearest_mirrored(vertices: Tensor, mirror: Tensor) -> Tensor:
 
 
 def best_confidence(distance2: Tensor, cost: float) -> Tensor:
-    """The sigma that minimises sigma d^2 + lambda_B ln(1 / sigma), equation 9 of the paper: min(1, lambda_B / d^2).
+    """The sigma in (0, 1] that minimises sigma d^2 + lambda_B ln(1 / sigma): min(1, lambda_B / d^2).
+
+    Equation 9 of the paper, of which the network's head only approaches the minimum.
 
     With lambda_B = 0.0005 a vertex counts as symmetric up to 2 % of the object's size. (V,) -> (V,)
     """
