@@ -100,7 +100,7 @@ class MeshFile:
         return ~np.isin(_row_number(in_file, width), _row_number(removed, width))
 
     def confidence_glb(self, vertices: Tensor, confidence: Tensor, faces: Tensor | None = None) -> bytes:
-        """The welded mesh, or these of its faces, coloured from red (confidence 0) to green (confidence 1)."""
+        """The welded mesh, or these of its faces, coloured from red (0) to green (confidence 1)."""
         self._check(vertices, confidence)
         points = vertices.detach().cpu().double().numpy()
         shown = (self.mesh.faces if faces is None else faces).cpu().numpy()
