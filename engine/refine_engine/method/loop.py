@@ -160,15 +160,14 @@ class Fit:
         """One iteration."""
         offsets, confidence = self.network(self.features(), self.coarse, self.topology)
         vertices = self.coarse + offsets
-        if not self.config.learn_confidence:
-            confidence = self.best_confidence(vertices)
+        confidence, vertex_symmetry = self.mirrored(vertices, confidence)
         depth, image_symmetry = self.render(vertices, confidence)
         weights = self.config.weights
         terms = torch.stack(
             [
                 weights.silhouette * self.silhouette(depth),
                 weights.image_symmetry * image_symmetry,
-                weights.vertex_symmetry * self.vertex_symmetry(vertices, confidence),
+                weights.vertex_symmetry * vertex_symmetry,
                 weights.displacement * losses.displacement(offsets),
                 *self.smoothness(vertices, offsets),
             ]
@@ -200,21 +199,19 @@ class Fit:
         loss = losses.silhouette_pyramid if self.config.pyramid else losses.silhouette
         return loss(depth, self.target.silhouette, self.target.known)
 
-    def vertex_symmetry(self, vertices: Tensor, confidence: Tensor) -> Tensor:
-        """The loss of that name; zero for an object without a mirror plane."""
-        if self.normal is None:
-            return confidence.new_zeros(())
-        mirror = mirror_matrix(self.normal)
-        nearest = nearest_mirrored(vertices, mirror)
-        return losses.vertex_symmetry(vertices, nearest, mirror, confidence, self.config.confidence_cost)
+    def mirrored(self, vertices: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
+        """Symmetry confidence (V,), the network's or the best there is, and the vertex symmetry loss with it.
 
-    def best_confidence(self, vertices: Tensor) -> Tensor:
-        """(V,), see `symmetry.best_confidence`; zero for an object without a mirror plane."""
+        Both zero for an object without a mirror plane.
+        """
         if self.normal is None:
-            return torch.zeros_like(vertices[:, 0])
-        mirror = mirror_matrix(self.normal)
-        distance2 = (vertices @ mirror - vertices[nearest_mirrored(vertices, mirror)]).square().sum(1)
-        return best_confidence(distance2, self.config.confidence_cost)
+            return torch.zeros_like(confidence), confidence.new_zeros(())
+        cost, mirror = self.config.confidence_cost, mirror_matrix(self.normal)
+        nearest = nearest_mirrored(vertices, mirror)
+        if not self.config.learn_confidence:
+            distance2 = (vertices @ mirror - vertices[nearest]).square().sum(1)
+            confidence = best_confidence(distance2, cost)
+        return confidence, losses.vertex_symmetry(vertices, nearest, mirror, confidence, cost)
 
     def smoothness(self, vertices: Tensor, offsets: Tensor) -> tuple[Tensor, Tensor]:
         """Normal consistency and Laplacian, weighted: of the mesh (paper), or of its change."""
