@@ -176,8 +176,15 @@ class Fit:
         terms.sum().backward()
         self.optimiser.step()
         self.best.keep(terms.detach(), offsets.detach(), confidence.detach())
-        covered, wanted = depth.detach() > math.log(2), self.target.silhouette > 0.5
-        torch.div((covered & wanted).sum(), (covered | wanted).sum(), out=self.iou)
+        self.measure(vertices.detach())
+
+    def measure(self, vertices: Tensor) -> None:
+        """2D IoU of the hard render, as the result's: mean over the views; 0 where nothing is seen."""
+        side = self.stage.render_size
+        covered = rasterize(self.target.project(vertices), self.seen_faces, (side, side)).face >= 0
+        wanted = self.target.silhouette > 0.5
+        both, either = (covered & wanted).flatten(1).sum(1), (covered | wanted).flatten(1).sum(1)
+        self.iou.copy_((both / either.clamp_min(1)).mean())
 
     def render(self, vertices: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
         """Optical depth at the input cameras (B, N, N), and the image symmetry loss of the view pairs."""
