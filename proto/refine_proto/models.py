@@ -45,8 +45,10 @@ class RefinementOptions(Input):
         None, ge=1, le=10_000, description="Optimisation steps; unset: the preset's."
     )
     seed: int = Field(0, ge=0, le=2**32 - 1, description="Same seed, same device: same result.")
-    symmetry_normal: tuple[Number, Number, Number] = Field(
-        (0.0, 0.0, 1.0), description="Normal of the object's mirror plane, world axes; any length but zero."
+    symmetry_normal: tuple[Number, Number, Number] | None = Field(
+        None,
+        description="Normal of the object's mirror plane, world axes, any length but zero; unset: the plane is "
+        "found on the coarse mesh (preset paper: 0, 0, 1).",
     )
     symmetry_offset: Number | None = Field(
         None,
@@ -64,8 +66,10 @@ class RefinementOptions(Input):
 
     @field_validator("symmetry_normal")
     @classmethod
-    def _has_a_direction(cls, normal: tuple[float, float, float]) -> tuple[float, float, float]:
-        if math.sqrt(sum(x * x for x in normal)) <= 1e-6:  # as in the engine's RefineConfig
+    def _has_a_direction(
+        cls, normal: tuple[float, float, float] | None
+    ) -> tuple[float, float, float] | None:
+        if normal and math.sqrt(sum(x * x for x in normal)) <= 1e-6:  # as in the engine's RefineConfig
             raise ValueError(f"expected a normal with a length of more than 1e-6, got {list(normal)}")
         return normal
 

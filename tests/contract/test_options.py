@@ -31,7 +31,12 @@ def test_presets_are_the_engines() -> None:
 def test_the_engine_takes_what_the_contract_lets_in(preset: Preset, options: dict[str, Any]) -> None:
     config = config_of(RefinementOptions(preset=preset, **options))
     assert config.iterations == options["iterations"] or options["iterations"] is None
-    assert config.symmetry_normal == tuple(options["symmetry_normal"])
+    assert (config.symmetry, config.symmetry_normal) == ("plane", tuple(options["symmetry_normal"]))
+
+
+@pytest.mark.parametrize(("preset", "symmetry"), [("default", "auto"), ("fast", "auto"), ("paper", "plane")])
+def test_a_plane_that_nobody_tells_is_found(preset: Preset, symmetry: str) -> None:
+    assert config_of(RefinementOptions(preset=preset)).symmetry == symmetry
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     group.add_argument("--seed", type=int, metavar="N", help="of the network's weights (0)")
     group.add_argument(
         "--symmetry-normal", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="of the mirror plane, world axes (0 0 1)",
+        help="of the mirror plane, world axes (found on the coarse mesh)",
     )  # fmt: skip
     group.add_argument(
         "--symmetry-offset", type=float, metavar="D",
