@@ -203,10 +203,13 @@ class JobStore:
         """Remove the record now and the blobs soon; raises Conflict while a worker has the job."""
         job = await self._job(owner, job_id)
         withdraw = self._delivery.withdraw(job_id, job.attempt + 1)
-        if not await self._scripts.run("delete", job_id, *withdraw):
+        outcome = await self._scripts.run("delete", job_id, *withdraw)
+        if outcome == "held":
             raise Conflict(
                 f"refinement {job_id} is running; cancel it and wait for its end before deleting it"
             )
+        if outcome == "gone":
+            await self._job(owner, job_id)  # says how
 
     async def _job(self, owner: str, job_id: str) -> Job:
         return _owned(owner, job_id, await self._redis.hgetall(keys.JOB + job_id))

@@ -11,6 +11,7 @@ import pytest
 from refine_jobs import keys
 from refine_jobs.edge_store import JobStore
 from refine_jobs.reaper import reap
+from refine_jobs.scripts import Scripts
 from refine_jobs.worker_store import LeaseLost
 from refine_proto.errors import (
     Conflict,
@@ -394,6 +395,35 @@ def test_delete_removes_everything(jobs: Jobs) -> None:
             left = {key for key in jobs.redis.scan_iter() if job_id in key}
             assert left == {keys.EVENTS + job_id}  # the last word for whoever was watching
             assert 0 < jobs.redis.ttl(keys.EVENTS + job_id) <= 60
+
+    asyncio.run(scenario())
+
+
+def test_of_many_deletions_at_once_one_does_it(jobs: Jobs) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            await asyncio.gather(*(store.get("ann", job_id) for _ in range(20)))  # opens the connections
+            calls = (store.delete("ann", job_id) for _ in range(20))
+            results = await asyncio.gather(*calls, return_exceptions=True)
+            assert [result for result in results if not isinstance(result, NotFound)] == [None]
+            assert jobs.redis.smembers(keys.TRASH) == {job_id}
+
+    asyncio.run(scenario())
+
+
+def test_a_deletion_that_meets_the_reaper_leaves_the_tombstone(jobs: Jobs, clock: HandClock) -> None:
+    jobs = jobs.with_clock(clock)
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            await store.cancel("ann", job_id)
+            clock.move(DAY_S)
+            assert jobs.worker.expire() == [job_id]
+            assert Scripts(jobs.redis).run("delete", job_id) == "gone"
+            with pytest.raises(Expired):
+                await store.delete("ann", job_id)
 
     asyncio.run(scenario())
 

@@ -116,7 +116,7 @@ def test_watchers_of_a_job_that_is_deleted_as_soon_as_it_has_ended_hear_of_its_e
             job_id = (await jobs.submit(store)).refinement.id
             task = await joined(store, job_id)
             finish(jobs, job_id)
-            assert Scripts(jobs.redis).run("delete", job_id)
+            assert Scripts(jobs.redis).run("delete", job_id) == "deleted"
             assert await asyncio.wait_for(task, 10) == [1, 2, 3, 4]
 
     run(scenario())

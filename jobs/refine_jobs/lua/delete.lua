@@ -1,9 +1,14 @@
--- A job is removed for good, unless a worker holds it. ARGV: id, commands that take it out of RQ. Returns 1 if it was.
+-- A job is removed for good, unless a worker holds it. ARGV: id, commands that take it out of RQ.
+-- Returns deleted, held, or gone if somebody else was faster.
 local id = ARGV[1]
-if is_held(field(id, 'state')) then
-  return 0
+local state = field(id, 'state')
+if not state or state == 'expired' then
+  return 'gone'
+end
+if state ~= 'queued' and not has_ended(state) then
+  return 'held'
 end
 clear(id)
 redis.call('DEL', JOB .. id)
 run_commands(2)
-return 1
+return 'deleted'
