@@ -70,9 +70,9 @@ class WorkerStore:
         self._end(job, State.CANCELLED, "", [])
 
     def give_back(self, job: Job, why: str) -> State:
-        """The slot cannot go on: queue the job again, in front, or fail it if that was its last attempt.
+        """The slot cannot go on, through no fault of the job: queue it again, in front.
 
-        Returns QUEUED, FAILED, or CANCELLED if it was to be cancelled. Raises LeaseLost.
+        Returns QUEUED, or CANCELLED if it was to be cancelled. Raises LeaseLost.
         """
         return self._held(job, self._give_back(job, "now", why))
 
@@ -162,7 +162,7 @@ class WorkerStore:
 
     def _give_back(self, job: Job, when: str, why: str) -> str | None:
         attempts = self._settings.max_attempts
-        error = WorkerLost(f"{why}; that was attempt {job.attempt} of {attempts}")
+        error = WorkerLost(f"{why}; that was the last of {attempts} slots that it may lose")
         state: str | None = self._run(
             "give_back",
             job.id,

@@ -262,15 +262,22 @@ def test_a_job_that_rq_forgot_is_enqueued_again(jobs: Jobs) -> None:
     asyncio.run(scenario())
 
 
-def test_given_back_jobs_run_elsewhere(jobs: Jobs) -> None:
+def test_given_back_jobs_run_elsewhere_and_lose_nothing(jobs: Jobs) -> None:
+    """Only a slot that was lost counts against the attempts of a job."""
+    jobs = jobs.with_settings(max_attempts=2)
+
     async def scenario() -> None:
         async with jobs.edge() as store:
-            job = jobs.worker.claim((await jobs.submit(store)).refinement.id, "slot-0")
-            assert job
-            assert jobs.worker.give_back(job, "the worker shuts down") is State.QUEUED
-            again = jobs.worker.claim(job.id, "slot-1")
-            assert again
-            assert again.attempt == 2
+            job_id = (await jobs.submit(store)).refinement.id
+            for attempt in range(1, 5):
+                job = jobs.worker.claim(job_id, "slot-0")
+                assert job
+                assert job.attempt == attempt
+                assert jobs.worker.give_back(job, "the worker shuts down") is State.QUEUED
+            for state in (State.QUEUED, State.FAILED):
+                assert jobs.worker.claim(job_id, "slot-0")
+                jobs.end_lease(job_id)
+                assert reap(jobs.worker, jobs.blobs).taken_back == ((job_id, state),)
 
     asyncio.run(scenario())
 

@@ -40,7 +40,7 @@ SPEC = RefinementSpec.model_validate(
 )
 IOU = SilhouetteIou(before=0.5, after=0.9)
 HALF = Progress(iteration=1, total=2, percent=50.0)
-SMALL = JobSettings(lease_s=15, retention_s=100, max_attempts=3, max_queued=3, max_queued_per_owner=2)
+SMALL = JobSettings(lease_s=15, retention_s=100, max_attempts=2, max_queued=3, max_queued_per_owner=2)
 RQ_QUEUE = "rq:queue:refine-default"
 OWNERS = st.sampled_from(["ann", "ann", "bob"])
 SECONDS = st.sampled_from([1, 14, 15, 30, 100])  # on both sides of lease_s, MISSING_S and retention_s

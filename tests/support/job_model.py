@@ -25,6 +25,7 @@ class ModelJob:
     number: int
     state: State = State.QUEUED
     attempt: int = 0
+    lost: int = 0  # slots
     deleted: bool = False
     lease_ends_s: float = 0
     expires_s: float = 0
@@ -126,7 +127,7 @@ class JobModel:
     def give_back(self, job: ModelJob) -> None:
         if job.state is State.CANCELLING:
             self.end(job, State.CANCELLED)
-        elif job.attempt >= self._settings.max_attempts:
+        elif job.lost >= self._settings.max_attempts:
             self.end(job, State.FAILED)
         else:
             job.state = State.QUEUED
@@ -137,6 +138,7 @@ class JobModel:
         lost = [job for job in self.jobs.values() if job.state in HELD and job.lease_ends_s <= self.now_s]
         lost.sort(key=lambda job: (job.lease_ends_s, job.id))
         for job in lost:
+            job.lost += 1
             self.give_back(job)
         return [(job.id, job.state) for job in lost]
 

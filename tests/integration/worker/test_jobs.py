@@ -159,6 +159,18 @@ def test_an_engine_that_dies_fails_the_job_and_is_replaced(
     assert worker.engine_pids()[:-1] == before
 
 
+def test_an_engine_that_is_killed_before_it_begins_costs_the_job_nothing(
+    worker: Worker, workplace: Workplace
+) -> None:
+    engine = psutil.Process(worker.engine_pids()[-1])
+    engine.suspend()  # so that it does not begin
+    job_id = workplace.submit(iterations=4)
+    workplace.wait_until(lambda: workplace.job(job_id).state is State.RUNNING, "a slot that has the job")
+    engine.kill()
+    assert assert_succeeds(workplace, job_id).attempt == 2
+    assert not workplace.redis.hexists(keys.JOB + job_id, "lost")
+
+
 def test_a_hang_ends_at_the_deadline(worker: Worker, workplace: Workplace) -> None:
     slot, before = worker.slot_pid(), worker.engine_pids()
     job_id = workplace.submit(iterations=LONG, timeout_s=4)

@@ -46,7 +46,7 @@ def test_a_job_that_loses_every_slot_fails(worker: Worker, workplace: Workplace)
     job = workplace.job(job_id)
     assert (job.state, job.error and job.error.reason) == (State.FAILED, "WORKER_LOST")
     assert job.error
-    assert "attempt 2 of 2" in job.error.detail
+    assert "attempt 2; that was the last of 2" in job.error.detail
 
 
 def test_sigterm_lets_a_job_end(start_worker: StartWorker, own_workplace: Workplace) -> None:

@@ -9,7 +9,7 @@ from redis.exceptions import RedisError
 
 from refine_jobs.logs import fields_of
 from refine_jobs.record import Job
-from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, error_class
+from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, WorkerLost, error_class
 from refine_proto.models import Progress, State
 
 from ..messages import Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Run
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 class Stopped(Exception):
-    """The slot has to stop before the job is done."""
+    """The slot cannot go on with the job, through no fault of the job."""
 
 
 class Attempt:
@@ -34,6 +34,7 @@ class Attempt:
         self._phase = Phase.FETCH
         self._progress: Progress | None = None  # not reported yet
         self._cancelled_at: float | None = None
+        self._begun = False  # whether the engine has said anything of the job
 
     def run(self) -> Done:
         """Wait for the result.
@@ -44,6 +45,8 @@ class Attempt:
         try:
             ended = self._run()
         except EngineDied as died:
+            if isinstance(died.error, WorkerLost) and not self._begun:
+                raise Stopped(f"{died.error.detail}, before it began") from None
             raise died.error from None
         except BaseException:  # LeaseLost, a limit, a signal: it is still at work
             self._slot.engine.kill()
@@ -78,7 +81,7 @@ class Attempt:
         return min(next_tick, self._cancelled_at + self._settings.cancel_grace_s)
 
     def _note(self, message: FromEngine) -> None:
-        self._last_sign = time.monotonic()
+        self._begun, self._last_sign = True, time.monotonic()
         if isinstance(message, PhaseStarted):
             self._phase, self._phase_started = message.phase, self._last_sign
         elif isinstance(message, Progressed):
