@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 from rq import Queue
+from rq.job import Job as RqJob
 from rq.serializers import JSONSerializer
 
-from refine_jobs import keys
+from refine_jobs import delivery, keys
 from refine_jobs.record import decode_event
 from refine_jobs.redis_server import connect_for_rq
 from refine_jobs.slots import SlotState
@@ -180,6 +181,23 @@ def test_a_hang_ends_at_the_deadline(worker: Worker, workplace: Workplace) -> No
     assert_succeeds(workplace, workplace.submit(iterations=4))
     assert worker.slot_pid() == slot
     assert not psutil.pid_exists(before[-1])
+
+
+def test_a_job_that_version_0_1_0_put_into_the_queue_is_run(
+    worker: Worker, workplace: Workplace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It names the task by its path of that version."""
+    monkeypatch.setattr(delivery, "TASK", delivery.FORMER_TASK)
+    job_id = workplace.submit(iterations=4)
+    with connect_for_rq(workplace.environment["REFINE_REDIS_URL"]) as connection:
+
+        def delivered() -> RqJob:
+            return RqJob.fetch(f"{job_id}-1", connection=connection, serializer=JSONSerializer)
+
+        before = delivered()
+        assert before.func_name == "refine_worker.task.run"
+        assert_succeeds(workplace, job_id)
+        assert delivered().enqueued_at == before.enqueued_at  # the reaper did not have to do it again
 
 
 def test_only_our_task_is_run(worker: Worker, workplace: Workplace) -> None:
