@@ -1,1 +1,17 @@
-"""What service and worker share: settings, keys, blobs and the job store. No torch."""
+"""What service and worker share: settings, keys, blobs and the job store. No torch.
+
+keys           every key, name and fixed lifetime in Redis and in the blob store, on one page
+settings       the REFINE_* settings that both sides have
+redis_server   connections to Redis, and what a server must be for jobs to be safe in it
+embedded       a Redis server of our own, for one machine
+blobs          immutable bytes by name, in a folder or a bucket
+record         the record of a job and its events: from Redis' strings to values and back
+scripts, lua/  each step in the life of a job, atomic; lua/README.md draws it
+delivery       how a job gets into RQ's queue and out of it
+edge_store     JobStore: jobs as the edge sees them, asynchronous
+worker_store   WorkerStore: jobs as a slot and the reaper see them, synchronous
+feed           the events of jobs, for any number of watchers
+reaper         lost slots, lost deliveries, old data: put right now and then
+slots          what a slot says of itself
+health         what readiness and metrics need to know of all processes
+"""

@@ -1,6 +1,5 @@
 -- Shared by all scripts; scripts.py puts the constants of keys.py above it and one script below it.
--- State machine: queued -> running -> (cancelling ->) succeeded | failed | cancelled; queued -> cancelled;
--- succeeded | failed | cancelled -> expired. end_job is the only way into a terminal state.
+-- README.md draws the state machine. end_job is the only way into a terminal state.
 
 local function server_time()
   local time = redis.call('TIME')

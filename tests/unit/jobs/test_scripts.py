@@ -24,6 +24,16 @@ def test_the_scripts_use_every_constant_that_they_get_and_no_other() -> None:
         assert f"local {name} = {getattr(keys, name)!r}\n" in keys.lua_constants()
 
 
+def test_the_page_of_the_scripts_names_each_of_them() -> None:
+    named = re.findall(r"^\| `(\w+)` \|", (FOLDER / "README.md").read_text(), re.MULTILINE)
+    assert sorted(named) == sorted({path.stem for path in FOLDER.glob("*.lua")} - {"common"})
+
+
+def test_the_package_says_what_each_of_its_modules_is() -> None:
+    named = re.findall(r"^(\w+)(?:, lua/)?  +\w", refine_jobs.__doc__ or "", re.MULTILINE)
+    assert sorted(named) == sorted({path.stem for path in FOLDER.parent.glob("*.py")} - {"__init__"})
+
+
 def test_a_constant_of_python_changes_no_script(monkeypatch: pytest.MonkeyPatch) -> None:
     """Redis knows a script by the hash of its text."""
     before = script.__wrapped__("claim")
