@@ -109,8 +109,12 @@ def run_service(
         yield Service(words[1], words[3], process, folder, log_path)
     finally:
         if process.poll() is None:
+            process.terminate()
+        try:
+            process.wait(30)
+        except subprocess.TimeoutExpired:
             process.kill()
-        process.wait()
+            process.wait()
         process.stdout.close()
 
 
