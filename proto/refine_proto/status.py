@@ -5,6 +5,8 @@ ErrorInfo has the reason, BadRequest the fields, RetryInfo when to try again, Re
 
 from __future__ import annotations
 
+import math
+
 from google.protobuf.any_pb2 import Any
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message import Message
@@ -28,7 +30,7 @@ def to_status(error: RefineError, *, request_id: str | None = None) -> status_pb
         details.append(error_details_pb2.BadRequest(field_violations=violations))
     if error.retry_after_s is not None:
         delay = Duration()
-        delay.FromMilliseconds(round(1000 * error.retry_after_s))
+        delay.FromMilliseconds(math.ceil(1000 * error.retry_after_s))  # not sooner: it would be refused again
         details.append(error_details_pb2.RetryInfo(retry_delay=delay))
     if request_id or error.request_id:
         details.append(error_details_pb2.RequestInfo(request_id=request_id or error.request_id))

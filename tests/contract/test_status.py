@@ -36,6 +36,12 @@ def test_a_delay_of_zero_is_not_none() -> None:
     assert again.retry_after_s == 0.0
 
 
+def test_a_delay_is_never_shortened() -> None:
+    again = from_status(to_status(errors.QuotaExceeded("slow down", retry_after_s=0.0004)))
+    assert again is not None
+    assert again.retry_after_s == 0.001
+
+
 def test_a_reason_of_a_newer_server_is_kept() -> None:
     again = from_status(to_status(RefineError("new", reason="BRAND_NEW")))
     assert type(again) is RefineError
