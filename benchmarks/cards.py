@@ -24,13 +24,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from refine_bench.measure import screen_of
 from refine_engine import Cancelled, Mesh, RefineConfig, View, make_config, read_camera, read_inputs, refine
 from refine_engine.kernels import image_symmetry, optical_depth, rasterize
 from refine_engine.kernels.cuda import keep_float32
 from refine_engine.kernels.graph import EAGER_RUNS, repeatable
 from refine_engine.method.loop import Fit
 from refine_engine.method.presets import PRESETS
-from refine_engine.method.symmetry import nearest_mirrored
+from refine_engine.method.whole_mesh import fit_whole_mesh
 
 SAMPLES = Path(__file__).parents[1] / "examples" / "samples"
 MIB = 2**20
@@ -51,6 +52,11 @@ def load(sample: Path, device: torch.device) -> Case:
     mesh_bytes, image_bytes = (sample / "coarse.obj").read_bytes(), (sample / "silhouette.png").read_bytes()
     inputs = read_inputs(mesh_bytes, "coarse.obj", image_bytes, camera)
     return inputs.mesh_file.mesh.to(device), [view.to(device) for view in inputs.views]
+
+
+def make_working(preset: str, iterations: int | None) -> RefineConfig:
+    """The preset that also refines a mesh which agrees already, so that there is work to time."""
+    return replace(make_config(preset, iterations=iterations), agreement=None)
 
 
 def wait_for(device: torch.device) -> None:
@@ -93,47 +99,64 @@ def time_presets(
 
 def parts_of_iteration(fit: Fit) -> dict[str, Callable[[], object]]:
     """Each part of an iteration by itself, forward and backward, on the state of `fit`."""
-    network, faces, side = fit.network, fit.topology.faces, fit.stage.render_size
+    network, faces, side = fit.network, fit.seen_faces, fit.stage.render_size
     with torch.no_grad():
-        features = network.features(fit.seen, fit.grid)
-        pairs = fit.pairs.project(fit.coarse)
-        screen = torch.cat([fit.target.project(fit.coarse), pairs])
-        depth = optical_depth(screen, faces, side, fit.stage.softness)
-        visible = rasterize(pairs[len(pairs) // 2 :], faces, (side, side))
-    seen, mirrored = depth[-len(pairs) : -len(pairs) // 2 or None], depth[-len(pairs) // 2 :]
+        features = fit.features().detach()
+        screen = screen_of(fit)
     confidence = torch.full_like(fit.coarse[:, 0], 0.5)
 
     def back(output: Tensor) -> None:
         output.sum().backward()
 
-    def leaf(tensor: Tensor) -> Tensor:
-        return tensor.detach().requires_grad_()
-
     def refiner() -> None:
         offsets, sigma = network(features, fit.coarse, fit.topology)
-        back(offsets.sum() + sigma.sum())
+        back(offsets.sum() + sigma.sum() if fit.config.learn_confidence else offsets)
 
-    def symmetry() -> None:
-        back(image_symmetry(leaf(seen), leaf(mirrored), visible, faces, leaf(confidence), 5e-4))
+    def vertex_symmetry() -> None:
+        vertices = leaf(fit.coarse)
+        sigma = leaf(confidence) if fit.config.learn_confidence else fit.best_confidence(vertices)
+        back(fit.vertex_symmetry(vertices, sigma))
 
     parts: dict[str, Callable[[], object]] = {
         "graph convolutions and heads": refiner,
         "soft renders": lambda: back(optical_depth(leaf(screen), faces, side, fit.stage.softness)),
-        "hard renders": lambda: rasterize(pairs[len(pairs) // 2 :], faces, (side, side)),
-        "image symmetry": symmetry,
-        "nearest mirrored vertices": lambda: nearest_mirrored(fit.coarse, fit.mirror),
+        **(parts_of_image_symmetry(fit, screen, confidence) if len(screen) > len(fit.views) else {}),
+        "vertex symmetry": vertex_symmetry,
         "optimiser": fit.optimiser.step,
         "whole iteration": fit.step,
     }
     if fit.config.train_encoder:
-        parts = {"encoder": lambda: back(network.features(fit.seen, fit.grid)), **parts}
+        parts = {"encoder": lambda: back(fit.features()), **parts}
     return parts
+
+
+def parts_of_image_symmetry(fit: Fit, screen: Tensor, confidence: Tensor) -> dict[str, Callable[[], object]]:
+    """What the view pairs, after the input views on `screen`, cost beside their soft renders."""
+    faces, side, cost = fit.seen_faces, fit.stage.render_size, fit.config.confidence_cost
+    pairs = screen[len(fit.views) :]
+    other = pairs[len(pairs) // 2 :]
+    with torch.no_grad():
+        seen, mirrored = optical_depth(pairs, faces, side, fit.stage.softness).chunk(2)
+        visible = rasterize(other, faces, (side, side))
+
+    def loss() -> None:
+        image_symmetry(leaf(seen), leaf(mirrored), visible, faces, leaf(confidence), cost).backward()
+
+    return {
+        "hard renders": lambda: rasterize(other, faces, (side, side)),
+        "image symmetry": loss,
+    }
+
+
+def leaf(tensor: Tensor) -> Tensor:
+    return tensor.detach().requires_grad_()
 
 
 def time_parts(case: Case, device: torch.device, config: RefineConfig, runs: int) -> list[list[str]]:
     """Rows: part, milliseconds replayed as a graph of its own, share of the whole iteration."""
     stage = replace(config.stages[-1], iterations=runs + EAGER_RUNS + 2)
-    fit = Fit(*case, replace(config, stages=(stage,)))
+    config = replace(config, stages=(stage,))
+    fit = Fit(fit_whole_mesh(*case, config), config)
     fit.enter(stage)
     with repeatable(fit.step, device) as step:
         step()  # makes the gradients and the optimiser's state
@@ -326,13 +349,13 @@ def main() -> int:
     torch.cuda.set_device(device)
     keep_float32()
     case = load(options.sample, device)
-    config = make_config(options.preset, iterations=options.iterations)
+    config = make_working(options.preset, options.iterations)
     if options.racer:
         be_racer(case, device, config, options.repeats)
         return 0
 
     print(describe(device), f"{options.sample.name}: {len(case[0].vertices)} vertices\n", sep="\n")
-    configs = {name: make_config(name, iterations=options.iterations) for name in PRESETS}
+    configs = {name: make_working(name, options.iterations) for name in PRESETS}
     header = ["preset", "first run s", "median s", "least s", "most s", "memory MiB"]
     print(table(header, time_presets(case, device, configs, options.repeats)))
     header = [f"part of an iteration of {options.preset}", "ms", "share"]

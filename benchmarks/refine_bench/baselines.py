@@ -4,13 +4,13 @@ adam_step    plain Adam on the displacements
 large_step   Adam on u = (I + lambda L) v with one step size for all, L the uniform Laplacian: Nicolet,
              Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry", SIGGRAPH Asia 2021
 
-Both start where the network starts, after the fit of the proportions if the config asks for it. The symmetry
-confidences are free numbers, one per vertex, instead of the network's second head.
+Both start where the network starts, after the fit of the whole mesh if the config asks for it, and are judged
+as it is. Confidences that the network would learn are free numbers here, one per vertex.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,14 +19,13 @@ from scipy.sparse import coo_array, eye_array
 from scipy.sparse.linalg import SuperLU, splu
 from torch import Tensor
 
-from refine_engine.errors import Diverged
-from refine_engine.kernels import image_symmetry, optical_depth, rasterize
+from refine_engine.cameras.seen import mean_silhouette_iou
 from refine_engine.method import losses
-from refine_engine.method.config import RefineConfig, Stage
-from refine_engine.method.loop import move_as_a_whole
-from refine_engine.method.symmetry import mirror_matrix, nearest_mirrored
-from refine_engine.method.topology import Topology, neighbour_mean
-from refine_engine.method.views import Frame, SymmetryViews, Target
+from refine_engine.method.config import RefineConfig
+from refine_engine.method.loop import Fit
+from refine_engine.method.outcome import State, judge, keep
+from refine_engine.method.topology import Topology
+from refine_engine.method.whole_mesh import fit_whole_mesh
 from refine_engine.values import Mesh, View
 
 ADAM_LEARNING_RATE = 1e-3  # normalised lengths per step
@@ -40,35 +39,50 @@ Step = Callable[[Topology, Tensor], "tuple[Callable[[], Tensor], Callable[[int],
 """(topology, start (V, 3)) -> (the current vertices, differentiable; the update of a 1-based iteration)"""
 
 
-def optimise(
-    mesh: Mesh, view: View, config: RefineConfig, step: Step
-) -> tuple[Mesh, Tensor, tuple[float, ...]]:
-    """Refined mesh, confidence (V,) and total loss per iteration, over the stages of `config`.
+def optimise(mesh: Mesh, views: Sequence[View], config: RefineConfig, step: Step) -> State:
+    """What the engine would hand back, over the stages of `config`; every vertex of `mesh` is used by a face.
 
-    As in the engine, the result is the iterate of the lowest total loss of the last stage.
+    As in the engine, it is the iterate of the lowest total loss of the last stage, unless the coarse mesh
+    agrees with its silhouettes already or the result agrees less.
     """
-    objective = _Objective(move_as_a_whole(mesh, [view], config), view, config)
-    positions, update = step(objective.topology, objective.coarse)
-    logit = torch.full((len(mesh.vertices),), CONFIDENCE_START, requires_grad=True)
+    iou_before = mean_silhouette_iou(mesh, views)
+    if config.agreement is not None and iou_before >= config.agreement:
+        return keep(mesh, views, config, iou_before)
+    whole = fit_whole_mesh(mesh, views, config)
+    fit = Fit(whole, config)
+    positions, update = step(fit.topology, fit.coarse)
+    logit = torch.full_like(fit.coarse[:, 0], CONFIDENCE_START, requires_grad=True)
     confidences = torch.optim.Adam([logit], CONFIDENCE_LEARNING_RATE)
-    curve: list[float] = []
+    iteration = 0
     for stage in config.stages:
-        best_total, best = float("inf"), (objective.coarse, logit.detach())
-        terms = objective.at(stage)
+        fit.enter(stage)
         for _ in range(stage.iterations):
-            vertices, sigma = positions(), torch.sigmoid(logit)
-            total = terms(vertices, sigma)
+            iteration += 1
+            vertices = positions()
+            sigma = torch.sigmoid(logit) if config.learn_confidence else fit.best_confidence(vertices)
+            terms = _terms(fit, vertices, sigma)
             confidences.zero_grad()
-            total.backward()
-            curve.append(float(total.detach()))
-            if curve[-1] < best_total:
-                best_total, best = curve[-1], (vertices.detach().clone(), sigma.detach().clone())
-            update(len(curve))
+            terms.sum().backward()
+            fit.best.keep(terms.detach(), (vertices - fit.coarse).detach(), sigma.detach())
+            update(iteration)
             confidences.step()
-    if not np.isfinite(curve).all():
-        raise Diverged("expected finite losses, got NaN or infinity while optimising the vertices")
-    frame = objective.frame
-    return Mesh(best[0] * frame.scale + frame.centre, mesh.faces), best[1], tuple(curve)
+    fit.progress(config.iterations)
+    return judge(mesh, State.of(whole, config), fit.state(), whole.views, config, iou_before)
+
+
+def _terms(fit: Fit, vertices: Tensor, confidence: Tensor) -> Tensor:
+    """The six weighted losses (6,) of `Fit.step`, of vertices (V, 3) in the normalised frame."""
+    depth, image_symmetry = fit.render(vertices, confidence)
+    offsets, weights = vertices - fit.coarse, fit.config.weights
+    return torch.stack(
+        [
+            weights.silhouette * fit.silhouette(depth),
+            weights.image_symmetry * image_symmetry,
+            weights.vertex_symmetry * fit.vertex_symmetry(vertices, confidence),
+            weights.displacement * losses.displacement(offsets),
+            *fit.smoothness(vertices, offsets),
+        ]
+    )
 
 
 def adam_step(topology: Topology, start: Tensor) -> tuple[Callable[[], Tensor], Callable[[int], None]]:
@@ -132,39 +146,3 @@ def _system(topology: Topology, count: int) -> Any:
 def _diagonal(values: Any) -> Any:
     index = np.arange(len(values))
     return coo_array((values, (index, index)), shape=(len(values), len(values)))
-
-
-class _Objective:
-    """The weighted sum of the six losses, as in the engine's loop, of vertices in the normalised frame."""
-
-    def __init__(self, mesh: Mesh, view: View, config: RefineConfig) -> None:
-        self.config, self.view = config, view
-        self.frame = Frame.of(mesh, config)
-        self.coarse = self.frame.normalise(mesh.vertices)
-        self.topology = Topology.of(mesh.faces, len(mesh.vertices))
-        self.mirror = mirror_matrix(self.frame.normal)
-
-    def at(self, stage: Stage) -> Callable[[Tensor, Tensor], Tensor]:
-        """The total loss (vertices (V, 3), confidence (V,)) -> () at a stage's image size and softness."""
-        faces, side, cost = self.topology.faces, stage.render_size, self.config.confidence_cost
-        target = Target.of([self.view], self.frame, side)
-        pairs = SymmetryViews.of(self.config, side, self.frame.normal)
-        count, weights = len(pairs.intrinsics) // 2, self.config.weights
-
-        def total(vertices: Tensor, confidence: Tensor) -> Tensor:
-            both = pairs.project(vertices)
-            depth = optical_depth(torch.cat([target.project(vertices), both]), faces, side, stage.softness)
-            visible = rasterize(both[count:], faces, (side, side))
-            seen, mirrored = depth[1 : 1 + count], depth[1 + count :]
-            nearest = nearest_mirrored(vertices, self.mirror)
-            return (
-                weights.silhouette * losses.silhouette(depth[:1], target.silhouette, target.known)
-                + weights.image_symmetry * image_symmetry(seen, mirrored, visible, faces, confidence, cost)
-                + weights.vertex_symmetry
-                * losses.vertex_symmetry(vertices, nearest, self.mirror, confidence, cost)
-                + weights.displacement * losses.displacement(vertices - self.coarse)
-                + weights.normal_consistency * losses.normal_consistency(vertices, self.topology)
-                + weights.laplacian * losses.laplacian(vertices, neighbour_mean(vertices, self.topology))
-            )
-
-        return total

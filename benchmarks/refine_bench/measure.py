@@ -24,8 +24,7 @@ from refine_engine.kernels import optical_depth, oracle
 from refine_engine.method import losses
 from refine_engine.method.config import RefineConfig, Stage
 from refine_engine.method.loop import Fit
-from refine_engine.method.symmetry import nearest_mirrored
-from refine_engine.method.topology import neighbour_mean
+from refine_engine.method.whole_mesh import fit_whole_mesh
 from refine_engine.request import Inputs, read_inputs
 from refine_engine.values import Mesh, View
 
@@ -45,8 +44,9 @@ def read_mesh_file(path: Path) -> Mesh:
 
 def start(mesh: Mesh, view: View, config: RefineConfig) -> Fit:
     """A run after its first two iterations: everything is compiled and in memory."""
-    fit = Fit(mesh, [view], replace(config, stages=(replace(config.stages[-1], iterations=10_000),)))
-    fit.enter(fit.config.stages[-1])
+    config = replace(config, stages=(replace(config.stages[-1], iterations=10_000),))
+    fit = Fit(fit_whole_mesh(mesh, [view], config), config)
+    fit.enter(config.stages[-1])
     for _ in range(2):
         fit.step()
     return fit
@@ -91,32 +91,33 @@ def stage_seconds(fit: Fit) -> dict[str, float]:
     with torch.no_grad():
         offsets, confidence = network(features, fit.coarse, fit.topology)
         depth, _ = fit.render(fit.coarse + offsets, confidence)
-        nearest = nearest_mirrored(fit.coarse + offsets, fit.mirror)
     depth_leaf = depth.detach().requires_grad_()
-    losses.silhouette(depth_leaf, fit.target.silhouette, fit.target.known).backward()
+    (upstream,) = torch.autograd.grad(fit.silhouette(depth_leaf), depth_leaf)
     vertices = (fit.coarse + offsets).requires_grad_()
     confidence = confidence.requires_grad_()
 
     def graph() -> None:
         moved, sigma = network(features, fit.coarse, fit.topology)
-        torch.autograd.backward([moved, sigma], [torch.ones_like(moved), torch.ones_like(sigma)])
+        (moved.sum() + sigma.sum() if config.learn_confidence else moved.sum()).backward()
 
     def renders() -> None:
-        soft, pairs = fit.render(vertices, confidence)
-        torch.autograd.backward([soft, pairs], [depth_leaf.grad, torch.ones_like(pairs)])
+        soft, image_symmetry = fit.render(vertices, confidence)
+        ((soft * upstream).sum() + image_symmetry).backward()
+
+    def vertex_symmetry() -> None:
+        sigma = confidence if config.learn_confidence else fit.best_confidence(vertices)
+        fit.vertex_symmetry(vertices, sigma).backward()
 
     def remaining_losses() -> None:
-        t, mirror = fit.topology, fit.mirror
-        total = losses.silhouette(depth_leaf, fit.target.silhouette, fit.target.known)
-        total = total + losses.vertex_symmetry(vertices, nearest, mirror, confidence, config.confidence_cost)
-        total = total + losses.displacement(vertices - fit.coarse) + losses.normal_consistency(vertices, t)
-        (total + losses.laplacian(vertices, neighbour_mean(vertices, t))).backward()
+        moved = vertices - fit.coarse
+        folds, smooth = fit.smoothness(vertices, moved)
+        (fit.silhouette(depth_leaf) + losses.displacement(moved) + folds + smooth).backward()
 
     parts: dict[str, Callable[[], object]] = {
         "graph convolutions": graph,
         "renders": renders,
+        "vertex symmetry": vertex_symmetry,
         "other losses": remaining_losses,
-        "nearest mirrored vertices": lambda: nearest_mirrored(fit.coarse + offsets, fit.mirror),
         "optimiser": fit.optimiser.step,
     }
     if config.train_encoder:
@@ -149,7 +150,10 @@ def render_seconds(screen: Tensor, faces: Tensor, side: int, softness: float) ->
 
 def screen_of(fit: Fit) -> Tensor:
     """The vertices on the screens of all soft renders of an iteration: (views, V, 3)."""
-    return torch.cat([fit.target.project(fit.coarse), fit.pairs.project(fit.coarse)])
+    screen = fit.target.project(fit.coarse)
+    if fit.normal is None or not fit.config.weights.image_symmetry:
+        return screen
+    return torch.cat([screen, fit.pairs.project(fit.coarse)])
 
 
 @njit(cache=True)

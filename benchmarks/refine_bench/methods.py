@@ -14,8 +14,11 @@ from importlib import import_module
 
 from torch import Tensor
 
-from refine_engine.method.config import RefineConfig
-from refine_engine.method.loop import move_as_a_whole, refine
+from refine_engine.cameras.seen import mean_silhouette_iou
+from refine_engine.method.config import RefineConfig, Weights
+from refine_engine.method.loop import refine
+from refine_engine.method.outcome import State, keep
+from refine_engine.method.whole_mesh import fit_whole_mesh
 from refine_engine.values import Camera, Mesh
 
 from . import baselines
@@ -26,7 +29,7 @@ Plugin = Callable[[Mesh, Tensor, Camera], Mesh]
 PLAIN = "refine"
 PROPORTIONS = "proportions"  # the fit of the whole mesh alone, in presets that have one
 ASYMMETRIC_ONLY = "confidence_cost_1"
-# What is switched off, from nothing but the silhouette to all terms (paper, ablation table).
+# What is switched off of `_all_terms`, from nothing but the silhouette to all terms (paper, ablation table).
 WITHOUT: Mapping[str, tuple[str, ...]] = {
     "silhouette": (
         "displacement",
@@ -85,22 +88,33 @@ def make_method(name: str, config: RefineConfig) -> Method:
     if name == PLAIN:
         return _engine(config)
     if name in WITHOUT:
-        weights = replace(config.weights, **dict.fromkeys(WITHOUT[name], 0.0))
+        weights = replace(_all_terms(config).weights, **dict.fromkeys(WITHOUT[name], 0.0))
         return _engine(replace(config, weights=weights))
     if name == PROPORTIONS:
         return _proportions(config)
     if name == ASYMMETRIC_ONLY:
-        return _engine(replace(config, confidence_cost=1.0))
+        return _engine(replace(_all_terms(config), confidence_cost=1.0))
     if name in BASELINES:
         return _baseline(config, BASELINES[name])
     return _plugin(name)
 
 
+def _all_terms(config: RefineConfig) -> RefineConfig:
+    """With image symmetry of the paper's weight where the preset has none."""
+    weight = config.weights.image_symmetry or Weights().image_symmetry
+    return replace(config, weights=replace(config.weights, image_symmetry=weight))
+
+
+def _for(case: Case, config: RefineConfig) -> RefineConfig:
+    """A preset that has to be told the mirror plane is told it; the others find it."""
+    return replace(config, symmetry_normal=case.symmetry_normal)
+
+
 def _engine(config: RefineConfig) -> Method:
     def method(case: Case, scene: Scene, seed: int) -> Outcome:
-        effective = replace(config, seed=seed, symmetry_normal=case.symmetry_normal)
-        result = refine(scene.coarse, [scene.view], effective)
-        return Outcome(result.mesh, result.seconds, result.confidence, tuple(result.loss_curve["total"]))
+        result = refine(scene.coarse, [scene.view], replace(_for(case, config), seed=seed))
+        curve = result.loss_curve.get("total", ())  # none of a mesh that is returned as it came
+        return Outcome(result.mesh, result.seconds, result.confidence, tuple(curve))
 
     return method
 
@@ -108,8 +122,13 @@ def _engine(config: RefineConfig) -> Method:
 def _proportions(config: RefineConfig) -> Method:
     def method(case: Case, scene: Scene, seed: int) -> Outcome:
         started = time.monotonic()
-        effective = replace(config, symmetry_normal=case.symmetry_normal)
-        return Outcome(move_as_a_whole(scene.coarse, [scene.view], effective), time.monotonic() - started)
+        views, effective = [scene.view], _for(case, config)
+        iou = mean_silhouette_iou(scene.coarse, views)
+        if effective.agreement is not None and iou >= effective.agreement:
+            state = keep(scene.coarse, views, effective, iou)
+        else:
+            state = State.of(fit_whole_mesh(scene.coarse, views, effective), effective)
+        return _outcome(state, effective, started)
 
     return method
 
@@ -117,11 +136,18 @@ def _proportions(config: RefineConfig) -> Method:
 def _baseline(config: RefineConfig, step: baselines.Step) -> Method:
     def method(case: Case, scene: Scene, seed: int) -> Outcome:  # nothing in it is random
         started = time.monotonic()
-        effective = replace(config, symmetry_normal=case.symmetry_normal)
-        mesh, confidence, curve = baselines.optimise(scene.coarse, scene.view, effective, step)
-        return Outcome(mesh, time.monotonic() - started, confidence, curve)
+        effective = _for(case, config)
+        state = baselines.optimise(scene.coarse, [scene.view], effective, step)
+        return _outcome(state, effective, started)
 
     return method
+
+
+def _outcome(state: State, config: RefineConfig, started: float) -> Outcome:
+    """As `refine` hands a state back: without its webs, if the config opens them."""
+    faces = state.mesh.faces[state.there] if config.topology == "open" else state.mesh.faces
+    curve = tuple(state.loss_curve.get("total", ()))
+    return Outcome(Mesh(state.mesh.vertices, faces), time.monotonic() - started, state.confidence, curve)
 
 
 def _plugin(name: str) -> Method:

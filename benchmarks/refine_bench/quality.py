@@ -54,7 +54,8 @@ def refine_case(case: Path, config: RefineConfig, output: Path) -> None:
     result = inputs.refine(config)
     output.mkdir(parents=True, exist_ok=True)
     unfinished = target.with_suffix(".part")
-    unfinished.write_bytes(inputs.mesh_file.with_vertices(result.mesh.vertices, result.confidence))
+    vertices, kept = result.mesh.vertices, result.kept_faces
+    unfinished.write_bytes(inputs.mesh_file.with_vertices(vertices, result.confidence, kept))
     unfinished.rename(target)
 
 

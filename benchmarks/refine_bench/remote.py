@@ -19,6 +19,7 @@ import trimesh
 from PIL import Image
 
 from refine_engine.files.mesh_file import read_mesh
+from refine_engine.method.presets import PRESETS
 from refine_engine.values import Camera, Mesh, View
 
 from .cases import Case, Scene, SetInvalid
@@ -62,7 +63,9 @@ class ServerMethod:
 
     def __call__(self, case: Case, scene: Scene, seed: int) -> Outcome:
         mesh, silhouette = mesh_bytes(scene.coarse), silhouette_bytes(scene.view)
-        options = {"preset": self._preset, "seed": seed, "symmetry_normal": list(case.symmetry_normal)}
+        options: dict[str, Any] = {"preset": self._preset, "seed": seed}
+        if PRESETS[self._preset]().symmetry == "plane":  # the others find it
+            options["symmetry_normal"] = list(case.symmetry_normal)
         with self._lock:
             self._first_start = self._first_start or time.monotonic()
         with tempfile.TemporaryDirectory(prefix="refine-bench-") as folder:
@@ -143,6 +146,6 @@ def _read(refined: Refined) -> Outcome:
         mesh,
         (finished - started).total_seconds(),
         confidence if len(confidence) == len(mesh.vertices) else None,  # per vertex of the mesh that was sent
-        tuple(report["loss_curve"]["total"]),
+        tuple(report["loss_curve"].get("total", ())),
         (started - created).total_seconds(),
     )

@@ -105,6 +105,37 @@ def test_ablation_switches_terms_off_group_by_group() -> None:
     assert applies("confidence_cost_1", case(asymmetric=True))
 
 
+def test_ablation_adds_the_image_symmetry_that_the_default_leaves_out() -> None:
+    config = replace(RefineConfig(), stages=(Stage(2, 56, 1e-3),), proportions=None, agreement=None, seed=1)
+    curves = {
+        name: make_method(name, config)(case(), scene(), 0).loss_curve
+        for name in ("refine", "silhouette", "vertex_symmetry", "all")
+    }
+    assert curves["refine"] == curves["vertex_symmetry"]
+    assert 0 < curves["silhouette"][0] < curves["vertex_symmetry"][0] < curves["all"][0]
+
+
+@pytest.mark.parametrize("name", ["refine", "proportions", "vertices_adam"])
+def test_a_mesh_that_agrees_is_kept_by_every_method_of_a_preset(name: str) -> None:
+    near = replace(scene(), coarse=Mesh(scene().coarse.vertices * 0.99 / 0.88, scene().coarse.faces))
+    outcome = make_method(name, RefineConfig())(case(), near, 0)
+    assert torch.equal(outcome.mesh.vertices, near.coarse.vertices)
+    assert outcome.loss_curve == ()
+
+
+def test_the_fit_of_the_whole_mesh_alone_grows_the_ball() -> None:
+    outcome = make_method("proportions", RefineConfig())(case(), scene(), 0)
+    assert silhouette_iou(outcome.mesh, scene().view) > 0.95
+    assert outcome.loss_curve == ()
+
+
+def test_baselines_of_the_default_end_as_the_engine_does() -> None:
+    config = replace(RefineConfig(), stages=(Stage(3, 56, 1e-3),))
+    outcome = make_method("vertices_adam", config)(case(), scene(), 0)
+    assert silhouette_iou(outcome.mesh, scene().view) > silhouette_iou(scene().coarse, scene().view)
+    assert len(outcome.loss_curve) == 3
+
+
 def test_a_plugin_gets_mesh_silhouette_and_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     def grow(mesh: Mesh, silhouette: torch.Tensor, camera: Camera) -> Mesh:
         assert silhouette.shape == (camera.height, camera.width)
@@ -129,6 +160,8 @@ class Answer:
 class InProcess:
     """The engine behind the interface of RefineClient: reads the sent bytes as the worker does."""
 
+    options: Mapping[str, Any]
+
     def list(self, *, limit: int | None = None) -> None:
         return None
 
@@ -142,7 +175,8 @@ class InProcess:
     ) -> Answer:
         json.dumps([camera, options])  # what is sent is JSON
         inputs = read_inputs(mesh, "mesh", silhouette, read_camera(camera))
-        config = replace(SHORT, seed=options["seed"], symmetry_normal=tuple(options["symmetry_normal"]))
+        self.options = options
+        config = replace(SHORT, seed=options["seed"])
         artifacts = make_artifacts(inputs, inputs.refine(config), config)
         for name, data in artifacts.items():
             (directory / name).write_bytes(data)
@@ -153,6 +187,13 @@ class InProcess:
             finished_at=start + timedelta(seconds=5),
         )
         return Answer(times, {name: directory / name for name in artifacts})
+
+
+def test_only_a_preset_that_does_not_find_the_mirror_plane_is_told_it() -> None:
+    client, sideways = InProcess(), replace(case(), symmetry_normal=(1.0, 0.0, 0.0))
+    for preset, told in (("paper", {"symmetry_normal": [1.0, 0.0, 0.0]}), ("default", {})):
+        ServerMethod(client, preset)(sideways, scene(), 3)
+        assert client.options == {"preset": preset, "seed": 3, **told}
 
 
 def test_a_server_is_sent_what_it_reads_and_gives_what_the_engine_gives() -> None:

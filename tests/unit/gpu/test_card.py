@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -212,7 +211,7 @@ def test_the_default_gives_the_same_bits_and_its_memory_back(
     octahedron_case: tuple[Mesh, list[View]],
 ) -> None:
     case = on_the_card(octahedron_case)
-    config = RefineConfig(stages=(Stage(20, 56, 1e-3), Stage(40, 112, 6e-4)))
+    config = RefineConfig(stages=(Stage(20, 56, 1e-3), Stage(40, 112, 6e-4)), agreement=None)
     first = refine(*case, config)
     held = torch.cuda.memory_allocated()
     second = refine(*case, config)
@@ -233,7 +232,7 @@ def test_recorded_and_eager_refinement_agree(
     400 steps amplify that.
     """
     case = on_the_card(octahedron_case)
-    config = replace(RefineConfig(stages=(Stage(400, 112, 6e-4),)), train_encoder=train_encoder)
+    config = RefineConfig(stages=(Stage(400, 112, 6e-4),), agreement=None, train_encoder=train_encoder)
     recorded = refine(*case, config)
     monkeypatch.setattr(graph, "EAGER_RUNS", 10**9)
     eager = refine(*case, config)

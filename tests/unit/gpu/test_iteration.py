@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -11,8 +12,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from refine_engine import Mesh, RefineConfig, View, refine
 from refine_engine.kernels import cpu, cuda
-from refine_engine.method.config import Stage
-from refine_engine.method.loop import Fit
+from refine_engine.method import loop
+from refine_engine.method.config import Stage, Weights
 
 # each waits for the card and brings a value to the host, by itself or to size its result
 WAITING = {
@@ -33,10 +34,14 @@ class Operators(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
-def config(iterations: int) -> RefineConfig:
-    return RefineConfig(
+def config(iterations: int, preset: RefineConfig | None = None) -> RefineConfig:
+    """All kernels are in use: the encoder is trained and the image symmetry weighs something."""
+    return replace(
+        preset or RefineConfig(),
         stages=(Stage(iterations, 32, 3e-3), Stage(iterations, 40, 1e-3)),
         proportions=None,
+        agreement=None,
+        weights=Weights(),
         encoder_size=64,
         train_encoder=True,
         symmetry_azimuths_degrees=(15.0,),
@@ -49,8 +54,8 @@ def cuda_back_end(emulator: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     """`refine` on CPU tensors takes the functions of the CUDA back end, and the encoder on every pixel."""
     for name in ("optical_depth", "rasterize", "image_symmetry"):
         monkeypatch.setattr(cpu, name, getattr(cuda, name))
-    dense = lambda fit: lambda: fit.network.features(fit.seen, fit.grid)  # noqa: E731
-    monkeypatch.setattr(Fit, "_features_of_the_weights", dense)
+    dense = lambda network, silhouette, grid, train: lambda: network.features(silhouette, grid)  # noqa: E731
+    monkeypatch.setattr(loop, "features_of", dense)
     return emulator
 
 
@@ -68,15 +73,16 @@ def test_refinement_by_the_cuda_back_end_follows_the_other(
     torch.testing.assert_close(by_cuda.mesh.vertices, by_cpu.mesh.vertices, rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize("preset", [RefineConfig(), RefineConfig.paper()], ids=["default", "paper"])
 def test_an_iteration_never_waits_for_the_card(
-    cuda_back_end: Any, octahedron_case: tuple[Mesh, list[View]]
+    cuda_back_end: Any, octahedron_case: tuple[Mesh, list[View]], preset: RefineConfig
 ) -> None:
     """More iterations bring no more operators that wait: none of them is in the iteration."""
     mesh, views = octahedron_case
     counts = []
     for iterations in (1, 3):
         with Operators() as operators:
-            refine(mesh, views, config(iterations))
+            refine(mesh, views, config(iterations, preset))
         counts.append(operators.count)
     few, many = counts
     assert many["convolution"] > few["convolution"] > 0  # the iterations themselves are counted
