@@ -113,9 +113,7 @@ def parts_of_iteration(fit: Fit) -> dict[str, Callable[[], object]]:
         back(offsets.sum() + sigma.sum() if fit.config.learn_confidence else offsets)
 
     def vertex_symmetry() -> None:
-        vertices = leaf(fit.coarse)
-        sigma = leaf(confidence) if fit.config.learn_confidence else fit.best_confidence(vertices)
-        back(fit.vertex_symmetry(vertices, sigma))
+        back(fit.mirrored(leaf(fit.coarse), leaf(confidence))[1])
 
     parts: dict[str, Callable[[], object]] = {
         "graph convolutions and heads": refiner,

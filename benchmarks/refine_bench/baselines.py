@@ -20,7 +20,6 @@ from scipy.sparse.linalg import SuperLU, splu
 from torch import Tensor
 
 from refine_engine.cameras.seen import mean_silhouette_iou
-from refine_engine.method import losses
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.loop import Fit
 from refine_engine.method.outcome import State, judge, keep
@@ -58,31 +57,15 @@ def optimise(mesh: Mesh, views: Sequence[View], config: RefineConfig, step: Step
         fit.enter(stage)
         for _ in range(stage.iterations):
             iteration += 1
-            vertices = positions()
-            sigma = torch.sigmoid(logit) if config.learn_confidence else fit.best_confidence(vertices)
-            terms = _terms(fit, vertices, sigma)
+            offsets = positions() - fit.coarse
+            terms, confidence = fit.terms(offsets, torch.sigmoid(logit))
             confidences.zero_grad()
             terms.sum().backward()
-            fit.best.keep(terms.detach(), (vertices - fit.coarse).detach(), sigma.detach())
+            fit.best.keep(terms.detach(), offsets.detach(), confidence.detach())
             update(iteration)
             confidences.step()
     fit.progress(config.iterations)
     return judge(mesh, State.of(whole, config), fit.state(), whole.views, config, iou_before)
-
-
-def _terms(fit: Fit, vertices: Tensor, confidence: Tensor) -> Tensor:
-    """The six weighted losses (6,) of `Fit.step`, of vertices (V, 3) in the normalised frame."""
-    depth, image_symmetry = fit.render(vertices, confidence)
-    offsets, weights = vertices - fit.coarse, fit.config.weights
-    return torch.stack(
-        [
-            weights.silhouette * fit.silhouette(depth),
-            weights.image_symmetry * image_symmetry,
-            weights.vertex_symmetry * fit.vertex_symmetry(vertices, confidence),
-            weights.displacement * losses.displacement(offsets),
-            *fit.smoothness(vertices, offsets),
-        ]
-    )
 
 
 def adam_step(topology: Topology, start: Tensor) -> tuple[Callable[[], Tensor], Callable[[int], None]]:

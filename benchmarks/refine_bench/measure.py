@@ -105,8 +105,7 @@ def stage_seconds(fit: Fit) -> dict[str, float]:
         ((soft * upstream).sum() + image_symmetry).backward()
 
     def vertex_symmetry() -> None:
-        sigma = confidence if config.learn_confidence else fit.best_confidence(vertices)
-        fit.vertex_symmetry(vertices, sigma).backward()
+        fit.mirrored(vertices, confidence)[1].backward()
 
     def remaining_losses() -> None:
         moved = vertices - fit.coarse

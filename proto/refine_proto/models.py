@@ -66,9 +66,7 @@ class RefinementOptions(Input):
 
     @field_validator("symmetry_normal")
     @classmethod
-    def _has_a_direction(
-        cls, normal: tuple[float, float, float] | None
-    ) -> tuple[float, float, float] | None:
+    def _has_a_direction(cls, normal: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         if normal and math.sqrt(sum(x * x for x in normal)) <= 1e-6:  # as in the engine's RefineConfig
             raise ValueError(f"expected a normal with a length of more than 1e-6, got {list(normal)}")
         return normal

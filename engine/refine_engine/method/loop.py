@@ -159,24 +159,27 @@ class Fit:
     def step(self) -> None:
         """One iteration."""
         offsets, confidence = self.network(self.features(), self.coarse, self.topology)
-        vertices = self.coarse + offsets
-        confidence, vertex_symmetry = self.mirrored(vertices, confidence)
-        depth, image_symmetry = self.render(vertices, confidence)
-        weights = self.config.weights
-        terms = torch.stack(
-            [
-                weights.silhouette * self.silhouette(depth),
-                weights.image_symmetry * image_symmetry,
-                weights.vertex_symmetry * vertex_symmetry,
-                weights.displacement * losses.displacement(offsets),
-                *self.smoothness(vertices, offsets),
-            ]
-        )
+        terms, confidence = self.terms(offsets, confidence)
         self.optimiser.zero_grad()
         terms.sum().backward()
         self.optimiser.step()
         self.best.keep(terms.detach(), offsets.detach(), confidence.detach())
-        self.measure(vertices.detach())
+        self.measure(self.coarse + offsets.detach())
+
+    def terms(self, offsets: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
+        """The six weighted losses (6,) of displacements (V, 3), and the confidences (V,) that they count."""
+        vertices = self.coarse + offsets
+        confidence, vertex_symmetry = self.mirrored(vertices, confidence)
+        depth, image_symmetry = self.render(vertices, confidence)
+        weights = self.config.weights
+        terms = [
+            weights.silhouette * self.silhouette(depth),
+            weights.image_symmetry * image_symmetry,
+            weights.vertex_symmetry * vertex_symmetry,
+            weights.displacement * losses.displacement(offsets),
+            *self.smoothness(vertices, offsets),
+        ]
+        return torch.stack(terms), confidence
 
     def measure(self, vertices: Tensor) -> None:
         """2D IoU of the hard render, as the result's: mean over the views; 0 where nothing is seen."""
