@@ -14,7 +14,7 @@ from refine_engine.artifacts.pictures import hard_render
 from refine_engine.files.mesh_file import read_mesh
 from refine_engine.method.config import RefineConfig
 from refine_engine.request import Inputs
-from refine_engine.values import Camera, Mesh, Result, View
+from refine_engine.values import Camera, Mesh, MirrorPlane, Result, View
 from refine_proto.formats import ARTIFACTS
 
 WIDTH, HEIGHT = 120, 80
@@ -34,7 +34,21 @@ def artifacts(textured: bytes) -> dict[str, Any]:
     confidence = (file.mesh.vertices[:, 0] > centre[0]).float()
     moved = refined.vertices - file.mesh.vertices
     curve = {"total": [2.0, 1.0]}
-    result = Result(refined, moved, confidence, 7, curve, 0.9, 0.8, 0.0, 1.5, ("slow",))
+    result = Result(
+        mesh=refined,
+        kept_faces=torch.ones(12, dtype=torch.bool),
+        displacement=moved,
+        confidence=confidence,
+        best_iteration=7,
+        loss_curve=curve,
+        silhouette_iou_before=0.9,
+        silhouette_iou_after=0.8,
+        outcome="refined",
+        plane=MirrorPlane(torch.tensor([0.0, 0.0, 1.0]), 0.25, 0.01),
+        camera_turn_degrees=0.0,
+        seconds=1.5,
+        warnings=("slow",),
+    )
     made: dict[str, Any] = dict(make_artifacts(Inputs(file, (view,), ()), result, RefineConfig()))
     return {"file": file, "view": view, "result": result} | made
 
@@ -97,7 +111,10 @@ def test_report_json_says_what_was_done(artifacts: dict[str, Any]) -> None:
     report = json.loads(artifacts["report.json"])
     assert report["silhouette_iou"] == {"before": 0.9, "after": 0.8}
     assert report["config"]["weights"]["silhouette"] == RefineConfig().weights.silhouette
-    assert report["mesh"] == {"vertices": 8, "faces": 12, "source_vertices": 24}
+    assert report["mesh"] == {"vertices": 8, "faces": 12, "removed_faces": 0, "source_vertices": 24}
+    assert report["outcome"] == "refined"
+    assert report["symmetry"] == {"normal": [0.0, 0.0, 1.0], "offset": 0.25, "error": pytest.approx(0.01)}
+    assert report["camera_turn_degrees"] == 0.0
     assert report["loss_curve"] == {"total": [2.0, 1.0]}
     assert report["warnings"] == ["slow"]
     assert torch.__version__.startswith(report["versions"]["torch"])  # it may end in +cu130 or +cpu

@@ -6,7 +6,7 @@ from dataclasses import fields
 import pytest
 
 from refine_engine.errors import OptionsInvalid
-from refine_engine.method.config import ProportionFit, RefineConfig, Stage, Weights
+from refine_engine.method.config import Opening, ProportionFit, RefineConfig, Stage, Weights
 from refine_engine.method.presets import PRESETS, make_config
 
 PAPER = {  # arXiv 2108.09911, sections 3 and 4
@@ -28,8 +28,17 @@ PAPER = {  # arXiv 2108.09911, sections 3 and 4
     "symmetry_elevations_degrees": (-45, 45),
     "symmetry_distance": 1.9,
     "symmetry_fov_degrees": 60,
+    "symmetry": "plane",
     "symmetry_normal": (0, 0, 1),
     "symmetry_offset": 0.0,
+    "agreement": None,
+    "learn_confidence": True,
+    "opening": Opening(),  # part of the whole-mesh fit, which there is none of
+    "topology": "fixed",
+    "crop": False,
+    "pyramid": False,
+    "unexplained_depth": None,
+    "regularise_change": False,
     "seed": 0,
 }
 

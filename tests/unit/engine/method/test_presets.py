@@ -21,6 +21,12 @@ def test_the_offset_of_a_preset_stays_unless_given() -> None:
     assert make_config("paper", symmetry_offset=0.5).symmetry_offset == 0.5
 
 
+def test_a_plane_that_is_given_is_not_searched_for() -> None:
+    assert make_config().symmetry == "auto"
+    assert make_config(symmetry_offset=0.5).symmetry == "plane"
+    assert make_config(symmetry_normal=(1.0, 0.0, 0.0)).symmetry == "plane"
+
+
 @pytest.mark.parametrize(
     ("iterations", "shares"),
     [

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from refine_engine.cameras.seen import hard_silhouette, mean_silhouette_iou
 from refine_engine.method.config import ProportionFit, RefineConfig
-from refine_engine.method.loop import move_as_a_whole
+from refine_engine.method.whole_mesh import fit_whole_mesh
 from refine_engine.method.proportions import Basis, vertex_normals
 from refine_engine.method.symmetry import rotation_from_z
 from refine_engine.values import Camera, Mesh, View
@@ -68,7 +68,7 @@ def test_what_the_silhouette_sees_comes_back(
 ) -> None:
     coarse = Mesh(truth.vertices @ matrix.T + torch.tensor(shift), truth.faces)
     views = [view_of(truth)]
-    fitted = move_as_a_whole(coarse, views, CONFIG)
+    fitted = fit_whole_mesh(coarse, views, CONFIG).mesh
     assert torch.equal(fitted.faces, coarse.faces)
     before, after = (mean_silhouette_iou(mesh, views) for mesh in (coarse, fitted))
     assert after > 0.9
@@ -81,9 +81,9 @@ def test_a_fat_mesh_gets_its_thickness_back() -> None:
     legs = [((0.05, 0.55, 0.05), (x, 0.0, z)) for x in (-0.35, 0.35) for z in (-0.2, 0.2)]
     table = boxes(((0.8, 0.05, 0.5), (0.0, 0.3, 0.0)), *legs)
     fat = Mesh(table.vertices + 0.02 * vertex_normals(table.vertices, table.faces), table.faces)
-    assert distance(move_as_a_whole(fat, [view_of(table)], CONFIG), table) < 0.6 * distance(fat, table)
+    assert distance(fit_whole_mesh(fat, [view_of(table)], CONFIG), table) < 0.6 * distance(fat, table).mesh
     stiff = replace(CONFIG, proportions=ProportionFit(thickness_prior=1e9))
-    assert distance(move_as_a_whole(fat, [view_of(table)], stiff), table) > distance(fat, table)
+    assert distance(fit_whole_mesh(fat, [view_of(table)], stiff), table) > distance(fat, table).mesh
 
 
 def test_vertex_normals_by_hand() -> None:
@@ -96,7 +96,7 @@ def test_vertex_normals_by_hand() -> None:
 
 
 def test_a_mesh_that_fits_stays(truth: Mesh) -> None:
-    fitted = move_as_a_whole(truth, [view_of(truth)], CONFIG)
+    fitted = fit_whole_mesh(truth, [view_of(truth)], CONFIG).mesh
     assert distance(fitted, truth) < 0.02
 
 
@@ -104,7 +104,7 @@ def test_it_stays_at_its_distance_from_the_camera(truth: Mesh) -> None:
     """Too large by a tenth could be too near; the mesh's mean depth says which."""
     forward = CAMERA.world_to_camera[2, :3]
     coarse = Mesh(truth.vertices * 1.1, truth.faces)
-    fitted = move_as_a_whole(coarse, [view_of(truth)], CONFIG)
+    fitted = fit_whole_mesh(coarse, [view_of(truth)], CONFIG).mesh
     assert abs(float((fitted.vertices.mean(0) - truth.vertices.mean(0)) @ forward)) < 0.03
     assert distance(fitted, truth) < 0.75 * distance(coarse, truth)
 
@@ -118,7 +118,7 @@ def test_a_given_plane_does_not_move(truth: Mesh, normal: tuple[float, float, fl
     coarse = Mesh(whole.vertices + 0.1 * n, whole.faces)
     as_thick = ProportionFit(thickness_prior=1e9)  # along its normals the mesh would move for another reason
     config = RefineConfig(proportions=as_thick, symmetry_normal=normal, symmetry_offset=0.1)
-    fitted = move_as_a_whole(coarse, [view_of(whole)], config)
+    fitted = fit_whole_mesh(coarse, [view_of(whole)], config).mesh
     before, after = (mesh.vertices @ n - 0.1 for mesh in (coarse, fitted))
     scale = float((before @ after) / (before @ before))
     torch.testing.assert_close(after, scale * before, atol=1e-3, rtol=0)  # Adam's steps are not zero
@@ -129,13 +129,13 @@ def test_without_a_given_plane_a_symmetric_object_may_move_along_the_normal(trut
     """A blurred, hence vaguely symmetric, coarse mesh goes half the way at least."""
     noise = 0.04 * torch.randn(truth.vertices.shape, generator=torch.Generator().manual_seed(0))
     coarse = Mesh(truth.vertices + noise + torch.tensor([0.0, 0.0, 0.1]), truth.faces)
-    fitted = move_as_a_whole(coarse, [view_of(truth)], CONFIG)
+    fitted = fit_whole_mesh(coarse, [view_of(truth)], CONFIG).mesh
     assert float(fitted.vertices[:, 2].mean()) < 0.07
 
 
 def test_no_such_step_in_the_paper(truth: Mesh) -> None:
     coarse = Mesh(truth.vertices * 1.2, truth.faces)
-    assert move_as_a_whole(coarse, [view_of(truth)], RefineConfig.paper()) is coarse
+    assert fit_whole_mesh(coarse, [view_of(truth)], RefineConfig.paper()).mesh is coarse
 
 
 def test_basis_moves_by_hand() -> None:

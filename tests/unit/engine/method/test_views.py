@@ -14,14 +14,23 @@ from refine_engine.errors import CameraInvalid
 from refine_engine.kernels import rasterize
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.symmetry import mirror_matrix
-from refine_engine.method.views import Frame, SymmetryViews, Target, resize
-from refine_engine.values import Camera, Mesh, View
+from refine_engine.method.views import Frame, Region, SymmetryViews, Target, resize
+from refine_engine.values import Camera, Mesh, MirrorPlane, View
 
 CPU = torch.device("cpu")
 
 
 def view_of(mesh: Mesh, camera: Camera) -> View:
     return View(hard_silhouette(mesh, camera).float(), camera)
+
+
+def plane_of(normal: tuple[float, float, float], offset: float) -> MirrorPlane:
+    return MirrorPlane(F.normalize(torch.tensor(normal), dim=0), offset, None)
+
+
+def target_of(views: list[View], frame: Frame, side: int) -> Target:
+    """Of the whole images."""
+    return Target.of(views, [Region.whole(view.camera) for view in views], frame, side)
 
 
 def a_camera(width: int, height: int) -> Camera:
@@ -43,18 +52,18 @@ def moved(mesh: Mesh, scale: float, shift: tuple[float, float, float]) -> Mesh:
 def test_frame_is_the_unit_box(ball: Mesh) -> None:
     """x in 7 ... 13, y in -3 ... 0, z in 1 ... 3."""
     mesh = Mesh(ball.vertices * torch.tensor([6.0, 3.0, 2.0]) + torch.tensor([10.0, -1.5, 2.0]), ball.faces)
-    frame = Frame.of(mesh, RefineConfig())
+    frame = Frame.of(mesh, None)
     normalised = frame.normalise(mesh.vertices)
     low, high = normalised.amin(0), normalised.amax(0)
     assert float((high - low).max()) == pytest.approx(1.0, abs=1e-5)
     assert frame.scale == pytest.approx(6.0, rel=0.01)
-    torch.testing.assert_close((low + high)[:2], torch.zeros(2), atol=1e-5, rtol=0)
+    torch.testing.assert_close(low + high, torch.zeros(3), atol=1e-5, rtol=0)
     torch.testing.assert_close(normalised * frame.scale + frame.centre, mesh.vertices, atol=1e-5, rtol=0)
 
 
 def test_frame_does_not_see_vertices_without_a_face(ball: Mesh) -> None:
     with_another = Mesh(torch.cat([ball.vertices, torch.tensor([[900.0, 0.0, 0.0]])]), ball.faces)
-    one, other = (Frame.of(mesh, RefineConfig()) for mesh in (ball, with_another))
+    one, other = (Frame.of(mesh, None) for mesh in (ball, with_another))
     assert torch.equal(one.centre, other.centre)
     assert one.scale == other.scale
 
@@ -66,9 +75,8 @@ def test_a_given_plane_is_not_moved_by_centring(
 ) -> None:
     """Points of the world plane n.x = offset lie on n.x = 0 of the frame; mirroring is the same in both."""
     mesh = moved(ball, 2.0, (0.4, -3.0, 1.1))
-    frame = Frame.of(mesh, RefineConfig(symmetry_normal=normal, symmetry_offset=offset))
+    frame = Frame.of(mesh, plane_of(normal, offset))
     n = F.normalize(torch.tensor(normal), dim=0)
-    torch.testing.assert_close(frame.normal, n)
     on_plane = mesh.vertices - (mesh.vertices @ n - offset)[:, None] * n
     torch.testing.assert_close(frame.normalise(on_plane) @ n, torch.zeros(162), atol=1e-5, rtol=0)
     mirrored = mesh.vertices - 2 * (mesh.vertices @ n - offset)[:, None] * n
@@ -85,8 +93,8 @@ def test_vertices_land_where_the_input_camera_sees_them(
     """A position in the input image, shifted by the padding, times the zoom."""
     mesh = moved(ball, 1.3, (0.1, 0.2, -0.1))
     camera = make_camera(width, height)
-    frame = Frame.of(mesh, RefineConfig())
-    target = Target.of([view_of(mesh, camera)], frame, side)
+    frame = Frame.of(mesh, None)
+    target = target_of([view_of(mesh, camera)], frame, side)
     is_flat = camera.projection == "orthographic"
     seen = project(mesh.vertices, *stack([camera], CPU), orthographic=is_flat)[0, :, :2]
     longest = max(width, height)
@@ -104,8 +112,8 @@ def test_the_picture_lies_under_the_projection(
 ) -> None:
     """The mesh rendered at the target's camera covers the target's silhouette."""
     mesh = moved(ball, 1.3, (0.1, 0.2, -0.1))
-    frame = Frame.of(mesh, RefineConfig())
-    target = Target.of([view_of(mesh, make_camera(width, height))], frame, 96)
+    frame = Frame.of(mesh, None)
+    target = target_of([view_of(mesh, make_camera(width, height))], frame, 96)
     screen = target.project(frame.normalise(mesh.vertices))
     covered, wanted = rasterize(screen, mesh.faces, (96, 96)).face >= 0, target.silhouette > 0.5
     covered &= target.known > 0.5
@@ -114,7 +122,7 @@ def test_the_picture_lies_under_the_projection(
 
 def test_the_padding_is_unknown(ball: Mesh) -> None:
     """A 60 x 30 image in a square of 60, shown at 40: rows 0-9 and 30-39 are padding."""
-    target = Target.of([view_of(ball, a_camera(60, 30))], Frame.of(ball, RefineConfig()), 40)
+    target = target_of([view_of(ball, a_camera(60, 30))], Frame.of(ball, None), 40)
     expected = torch.zeros(40, 40)
     expected[10:30] = 1
     torch.testing.assert_close(target.known[0], expected)
@@ -123,7 +131,7 @@ def test_the_padding_is_unknown(ball: Mesh) -> None:
 
 def test_views_of_several_sizes_become_one_batch(ball: Mesh) -> None:
     views = [view_of(ball, a_camera(60, 40)), view_of(ball, a_camera(80, 100))]
-    target = Target.of(views, Frame.of(ball, RefineConfig()), 64)
+    target = target_of(views, Frame.of(ball, None), 64)
     assert target.silhouette.shape == target.known.shape == (2, 64, 64)
     assert target.project(ball.vertices).shape == (2, 162, 3)
 
@@ -131,7 +139,7 @@ def test_views_of_several_sizes_become_one_batch(ball: Mesh) -> None:
 def test_views_of_two_projections_are_refused(ball: Mesh) -> None:
     views = [view_of(ball, a_camera(60, 40)), view_of(ball, orthographic(60, 40))]
     with pytest.raises(CameraInvalid, match=r"one kind of projection, got \['orthographic', 'perspective'\]"):
-        Target.of(views, Frame.of(ball, RefineConfig()), 64)
+        target_of(views, Frame.of(ball, None), 64)
 
 
 @pytest.mark.parametrize(("before", "after"), [(4, 2), (2, 4), (3, 3)])
@@ -155,12 +163,12 @@ def test_symmetry_views_see_each_other_in_the_mirror(
     """Picture by T p = flipped picture, by p, of the mesh mirrored in the world plane n.x = offset."""
     vertices = torch.rand(9, 3, generator=torch.Generator().manual_seed(2)) * 4 - 1
     faces = torch.arange(9).reshape(-1, 3)
-    config = RefineConfig(symmetry_normal=normal, symmetry_offset=offset)
-    frame = Frame.of(Mesh(vertices, faces), config)
-    views = SymmetryViews.of(config, 64, frame.normal)
+    plane = plane_of(normal, offset)
+    frame = Frame.of(Mesh(vertices, faces), plane)
+    views = SymmetryViews.of(RefineConfig(), 64, plane.normal)
     assert views.world_to_camera.shape == (12, 4, 4)
     there = views.project(frame.normalise(vertices))[6:]
-    n = frame.normal
+    n = plane.normal
     mirrored = vertices - 2 * (vertices @ n - offset)[:, None] * n
     here = views.project(frame.normalise(mirrored))[:6]
     torch.testing.assert_close(there[..., 0], 64 - here[..., 0], atol=1e-3, rtol=0)
