@@ -20,6 +20,8 @@ SHORT = RefineConfig(
     encoder_size=32,
     learning_rate=2e-4,
     symmetry_azimuths_degrees=(45.0,),
+    symmetry="plane",
+    agreement=None,
 )
 SETTLED = replace(SHORT, proportions=ProportionFit(iterations=40, render_size=64))
 # Adam turns the rounding of a gradient into steps: small ones, for runs that are compared but not bit by bit.
@@ -45,9 +47,14 @@ def same(one: Result, other: Result) -> bool:
     return torch.equal(one.mesh.vertices, other.mesh.vertices) and one.loss_curve == other.loss_curve
 
 
+def offset_of(result: Result) -> float:
+    assert result.plane is not None
+    return result.plane.offset
+
+
 def check(result: Result, mesh: Mesh, config: RefineConfig = SHORT) -> None:
     """What holds for every result."""
-    assert torch.equal(result.mesh.faces, mesh.faces)
+    assert torch.equal(result.mesh.faces, mesh.faces[result.kept_faces])
     assert result.mesh.vertices.shape == mesh.vertices.shape
     assert torch.isfinite(result.mesh.vertices).all()
     torch.testing.assert_close(result.displacement, result.mesh.vertices - mesh.vertices)
@@ -76,16 +83,16 @@ def test_it_does_not_touch_what_it_is_given_nor_torchs_random_numbers(ball: Mesh
     assert torch.equal(torch.get_rng_state(), state)
 
 
-@pytest.mark.parametrize("learning_rate", [2e-4, 0.1])
+@pytest.mark.parametrize("learning_rate", [2e-4, 0.01])
 def test_the_result_is_the_best_iterate_of_the_last_stage(
     ball: Mesh, views: list[View], learning_rate: float
 ) -> None:
     """At the larger rate the loss jumps about, and the last iterate is not the best."""
-    config = replace(SHORT, learning_rate=learning_rate)
+    config = replace(SHORT, proportions=None, learning_rate=learning_rate)
     result = refine(ball, views, config)
     last_stage = list(result.loss_curve["total"])[4:]
     assert result.best_iteration == 5 + last_stage.index(min(last_stage))
-    if learning_rate == 0.1:
+    if learning_rate == 0.01:
         assert result.best_iteration < config.iterations
     # one iteration fewer than the best would be another mesh, all up to it are the same
     until = replace(config, stages=(config.stages[0], Stage(result.best_iteration - 4, 48, 3e-4)))
@@ -111,19 +118,26 @@ def test_reports_go_forward_and_end_with_the_last_iteration(ball: Mesh, views: l
     result = refine(ball, views, SHORT, report=reports.append)
     iterations = [progress.iteration for progress in reports]
     assert iterations[-1] == 12
-    assert iterations == sorted(set(iterations))
+    assert iterations[0] == 0  # while the mesh is fitted as a whole
+    assert iterations == sorted(iterations)
     for progress in reports:
         assert progress.total == 12
         assert 0 <= progress.silhouette_iou <= 1
+        if not progress.iteration:
+            assert not progress.losses
+            continue
         now = {name: curve[progress.iteration - 1] for name, curve in result.loss_curve.items()}
         assert dict(progress.losses) == now
 
 
-@pytest.mark.parametrize("after", [0, 1, 7])
-def test_cancelled_between_iterations(ball: Mesh, views: list[View], after: int) -> None:
+@pytest.mark.parametrize(("asked_before", "after"), [(0, 0), (3, 0), (5, 0), (6, 1), (12, 7)])
+def test_cancelled_between_iterations(
+    ball: Mesh, views: list[View], asked_before: int, after: int
+) -> None:
+    """The first five are those of the fit of the whole mesh, of which none of the twelve is."""
     asked = iter(range(100))
     with pytest.raises(Cancelled, match=f"cancelled after {after} of 12 iterations"):
-        refine(ball, views, SHORT, cancelled=lambda: next(asked) >= after)
+        refine(ball, views, SHORT, cancelled=lambda: next(asked) >= asked_before)
 
 
 def test_not_cancelled_is_the_same_run(ball: Mesh, views: list[View]) -> None:
@@ -153,6 +167,7 @@ def test_the_network_improves_what_no_scaling_can(ball: Mesh) -> None:
     pointed = Mesh(ball.vertices * (0.6 + ball.vertices[:, :1]), ball.faces)
     coarse = stretched(ball, 0.6, 0.6, 0.6)
     config = replace(SHORT, proportions=None, stages=(Stage(60, 64, 1e-4),), learning_rate=5e-4)
+    config = replace(config, unexplained_depth=None)  # a small motion does not explain this
     result = refine(coarse, [view_of(pointed)], config)
     assert result.silhouette_iou_after > result.silhouette_iou_before + 0.03
 
@@ -178,7 +193,7 @@ def test_units_and_place_do_not_matter(ball: Mesh, projection: str, scale: float
         back = (there.mesh.vertices - shift) / scale
         difference = (back - here.mesh.vertices).norm(dim=1).mean()
         assert float(difference) < tolerance * float(here.displacement.norm(dim=1).mean())
-        assert there.symmetry_offset / scale == pytest.approx(5.0 + here.symmetry_offset, abs=0.02)
+        assert offset_of(there) / scale == pytest.approx(5.0 + offset_of(here), abs=0.02)
 
 
 def pieces(ball: Mesh) -> Mesh:
@@ -282,11 +297,10 @@ def test_orthographic_camera(ball: Mesh) -> None:
 
 def test_the_plane_of_symmetry_that_was_used(ball: Mesh, views: list[View]) -> None:
     lifted = Mesh(ball.vertices + torch.tensor([0.0, 0.0, 0.05]), ball.faces)
-    assert refine(lifted, views, replace(SHORT, proportions=None)).symmetry_offset == pytest.approx(
-        0.05, abs=0.01
-    )
+    found = refine(lifted, views, replace(SHORT, proportions=None))
+    assert offset_of(found) == pytest.approx(0.05, abs=0.01)
     given = refine(lifted, views, replace(SHORT, symmetry_offset=0.02))
-    assert given.symmetry_offset == pytest.approx(0.02, abs=1e-5)
+    assert offset_of(given) == pytest.approx(0.02, abs=1e-5)
 
 
 def test_confidence_falls_where_the_mesh_is_not_symmetric(ball: Mesh) -> None:

@@ -11,6 +11,7 @@ from torch import Tensor
 from refine_engine.cameras.seen import hard_silhouette, mean_silhouette_iou
 from refine_engine.method.config import ProportionFit, RefineConfig
 from refine_engine.method.whole_mesh import fit_whole_mesh
+from refine_engine.method.presets import make_config
 from refine_engine.method.proportions import Basis, vertex_normals
 from refine_engine.method.symmetry import rotation_from_z
 from refine_engine.values import Camera, Mesh, View
@@ -81,9 +82,9 @@ def test_a_fat_mesh_gets_its_thickness_back() -> None:
     legs = [((0.05, 0.55, 0.05), (x, 0.0, z)) for x in (-0.35, 0.35) for z in (-0.2, 0.2)]
     table = boxes(((0.8, 0.05, 0.5), (0.0, 0.3, 0.0)), *legs)
     fat = Mesh(table.vertices + 0.02 * vertex_normals(table.vertices, table.faces), table.faces)
-    assert distance(fit_whole_mesh(fat, [view_of(table)], CONFIG), table) < 0.6 * distance(fat, table).mesh
+    assert distance(fit_whole_mesh(fat, [view_of(table)], CONFIG).mesh, table) < 0.6 * distance(fat, table)
     stiff = replace(CONFIG, proportions=ProportionFit(thickness_prior=1e9))
-    assert distance(fit_whole_mesh(fat, [view_of(table)], stiff), table) > distance(fat, table).mesh
+    assert distance(fit_whole_mesh(fat, [view_of(table)], stiff).mesh, table) > distance(fat, table)
 
 
 def test_vertex_normals_by_hand() -> None:
@@ -117,7 +118,8 @@ def test_a_given_plane_does_not_move(truth: Mesh, normal: tuple[float, float, fl
     whole = Mesh(truth.vertices @ turn.T, truth.faces)
     coarse = Mesh(whole.vertices + 0.1 * n, whole.faces)
     as_thick = ProportionFit(thickness_prior=1e9)  # along its normals the mesh would move for another reason
-    config = RefineConfig(proportions=as_thick, symmetry_normal=normal, symmetry_offset=0.1)
+    config = make_config(symmetry_normal=normal, symmetry_offset=0.1)
+    config = replace(config, proportions=as_thick)
     fitted = fit_whole_mesh(coarse, [view_of(whole)], config).mesh
     before, after = (mesh.vertices @ n - 0.1 for mesh in (coarse, fitted))
     scale = float((before @ after) / (before @ before))
