@@ -122,7 +122,11 @@ def test_units_do_not_matter_to_a_request(unit: float) -> None:
 @UNITS
 def test_units_do_not_matter_to_eval(unit: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh, silhouette, camera = files_in(unit)
-    for name, content in (("m.obj", mesh), ("s.png", silhouette), ("c.json", camera.model_dump_json().encode())):
+    for name, content in (
+        ("m.obj", mesh),
+        ("s.png", silhouette),
+        ("c.json", camera.model_dump_json().encode()),
+    ):
         (tmp_path / name).write_bytes(content)
     path: Callable[[str], str] = lambda name: str(tmp_path / name)  # noqa: E731
     view = ["--camera", path("c.json"), "--silhouette", path("s.png")]

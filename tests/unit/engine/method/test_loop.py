@@ -131,9 +131,7 @@ def test_reports_go_forward_and_end_with_the_last_iteration(ball: Mesh, views: l
 
 
 @pytest.mark.parametrize(("asked_before", "after"), [(0, 0), (3, 0), (5, 0), (6, 1), (12, 7)])
-def test_cancelled_between_iterations(
-    ball: Mesh, views: list[View], asked_before: int, after: int
-) -> None:
+def test_cancelled_between_iterations(ball: Mesh, views: list[View], asked_before: int, after: int) -> None:
     """The first five are those of the fit of the whole mesh, of which none of the twelve is."""
     asked = iter(range(100))
     with pytest.raises(Cancelled, match=f"cancelled after {after} of 12 iterations"):

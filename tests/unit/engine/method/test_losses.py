@@ -9,6 +9,7 @@ from torch import Tensor
 from refine_engine.kernels import optical_depth, oracle
 from refine_engine.method import losses
 from refine_engine.method.topology import Topology, neighbour_mean
+from refine_engine.values import Mesh
 
 ONE = torch.ones(1, 1, 1)
 
@@ -214,3 +215,39 @@ def test_gradients() -> None:
     assert check(losses.displacement, vertices)
     assert check(lambda v: losses.normal_consistency(v, topology), vertices)
     assert check(lambda v: losses.laplacian(v, neighbour_mean(v, topology)), vertices)
+
+
+def hinge(degrees: float) -> Tensor:
+    """Vertices of two triangles on the x axis, the second folded up by an angle from flat."""
+    angle = math.radians(degrees)
+    return torch.tensor([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, -math.cos(angle), math.sin(angle)]])
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [(0, 40), (30, 70), (30, -30), (0, 180), (-90, -90), (170, -170)]
+)
+def test_fold_change_of_a_hinge(before: float, after: float) -> None:
+    """1 - cos of the difference, also across 180 degrees."""
+    topology = Topology.of(torch.tensor([[0, 1, 2], [1, 0, 3]]), 4)
+    folds = losses.fold_angles(hinge(before), topology)
+    change = losses.fold_change(hinge(after), topology, folds)
+    assert float(change) == pytest.approx(1 - math.cos(math.radians(after - before)), abs=1e-5)
+
+
+def test_fold_change_does_not_see_rigid_motion(ball: Mesh) -> None:
+    topology = Topology.of(ball.faces, len(ball.vertices))
+    folds = losses.fold_angles(ball.vertices, topology)
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(0)))[0]
+    turn = turn * torch.linalg.det(turn)  # a rotation
+    for same in (ball.vertices, ball.vertices @ turn.T + torch.tensor([3.0, -1.0, 2.0]), 5 * ball.vertices):
+        assert float(losses.fold_change(same, topology, folds)) == pytest.approx(0.0, abs=1e-5)
+    bent = ball.vertices * torch.tensor([1.0, 1.0, 0.3])
+    assert float(losses.fold_change(bent, topology, folds)) > 0.005
+    assert float(losses.normal_consistency(ball.vertices, topology)) > 0.005  # which is not zero for a ball
+
+
+def test_fold_change_without_hinges() -> None:
+    topology = Topology.of(torch.tensor([[0, 1, 2]]), 3)
+    vertices = hinge(0)[:3]
+    folds = losses.fold_angles(vertices, topology)
+    assert float(losses.fold_change(vertices, topology, folds)) == 0.0

@@ -39,12 +39,12 @@ def plane() -> Mesh:
 
 @pytest.fixture
 def scrap() -> Mesh:
-    """Boxes of different sizes along all three axes: no plane mirrors one half on the other."""
+    """A bent wire: no plane mirrors one half on the other."""
     return boxes(
-        ((0.9, 0.1, 0.1), (0.45, 0.0, 0.0)),
-        ((0.1, 0.6, 0.2), (0.9, 0.3, 0.1)),
-        ((0.2, 0.1, 0.7), (0.9, 0.6, 0.35)),
-        ((0.5, 0.3, 0.1), (0.0, -0.2, -0.3)),
+        ((1.0, 0.05, 0.05), (0.5, 0.0, 0.0)),
+        ((0.05, 0.7, 0.05), (1.0, 0.35, 0.0)),
+        ((0.05, 0.05, 0.9), (1.0, 0.7, 0.45)),
+        ((0.5, 0.05, 0.05), (1.25, 0.7, 0.9)),
     )
 
 
@@ -98,7 +98,9 @@ def test_an_object_without_symmetry_has_none(scrap: Mesh) -> None:
 def test_the_config_decides_whether_it_is_searched_for(scrap: Mesh, plane: Mesh) -> None:
     assert mirror_plane(plane, RefineConfig(symmetry="none")) is None
     assert mirror_plane(scrap, RefineConfig()) is None
-    given = mirror_plane(scrap, RefineConfig(symmetry="plane", symmetry_normal=(0, 3, 4), symmetry_offset=0.2))
+    given = mirror_plane(
+        scrap, RefineConfig(symmetry="plane", symmetry_normal=(0, 3, 4), symmetry_offset=0.2)
+    )
     assert given is not None
     torch.testing.assert_close(given.normal, torch.tensor([0.0, 0.6, 0.8]))
     assert given.offset == 0.2

@@ -6,14 +6,16 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from refine_engine.method.symmetry import (
+    best_confidence,
     least_mirrored_offset,
     mirror_error,
     mirror_matrix,
     nearest_mirrored,
     rotation_from_z,
+    surface_confidence,
     surface_points,
 )
-from refine_engine.values import Mesh
+from refine_engine.values import Mesh, MirrorPlane
 
 NORMALS = [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.3, -0.5, 0.8), (0.1, 0.0, -0.9)]
 
@@ -101,3 +103,43 @@ def test_surface_points_are_spread_by_area_and_the_same_each_time() -> None:
     torch.testing.assert_close(on_large[:, :2].mean(0), torch.tensor([1.5, 1.5]).double(), atol=0.05, rtol=0)
     assert float(on_large[:, :2].amin()) >= 0
     assert float(on_large[:, :2].amax()) <= 3
+
+
+def test_best_confidence_by_hand() -> None:
+    """1 up to d^2 = cost, then cost over d^2."""
+    distance2 = torch.tensor([0.0, 0.0004, 0.0005, 0.001, 0.05])
+    torch.testing.assert_close(best_confidence(distance2, 0.0005), torch.tensor([1.0, 1.0, 1.0, 0.5, 0.01]))
+
+
+def test_best_confidence_minimises_its_loss() -> None:
+    sigma = torch.linspace(0.001, 1, 1000)
+    for distance2 in (0.0, 0.0003, 0.002, 0.1):
+        loss = sigma * distance2 - 0.0005 * sigma.log()
+        best = float(best_confidence(torch.tensor(distance2), 0.0005))
+        assert best == pytest.approx(float(sigma[loss.argmin()]), abs=1e-3)
+
+
+PLANE = MirrorPlane(torch.tensor([0.0, 0.0, 1.0]), 0.0, None)
+
+
+def test_a_symmetric_object_is_confident_whatever_its_triangles(ball: Mesh) -> None:
+    """Turned about a slanted axis a ball is the same surface, but no vertex lies across from another."""
+    turned = Mesh(ball.vertices @ rotation_from_z(unit((0.3, 0.2, 0.9))).T, ball.faces)
+    assert float(surface_confidence(turned, PLANE, 1.0, 0.0005).min()) > 0.9
+    mirror = mirror_matrix(PLANE.normal)
+    apart = turned.vertices @ mirror - turned.vertices[nearest_mirrored(turned.vertices, mirror)]
+    assert float(best_confidence(apart.square().sum(1), 0.0005).mean()) < 0.5
+
+
+def test_an_added_arm_is_not_symmetric(ball: Mesh) -> None:
+    """Of a box from z = 0.4 to 1 on one side, the far end is 0.5 from its mirror image's nearest surface."""
+    arm = torch.tensor([[x, y, z] for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (0.4, 1.0)])
+    quads = torch.tensor([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    faces = torch.cat([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]) + 162
+    mesh = Mesh(torch.cat([ball.vertices, arm]), torch.cat([ball.faces, faces]))
+    confidence = surface_confidence(mesh, PLANE, 1.0, 0.0005)
+    assert float(confidence[:162].median()) == 1.0
+    end = confidence[162:][arm[:, 2] == 1.0]
+    torch.testing.assert_close(end, torch.full((4,), 0.0005 / 0.5**2), rtol=0.05, atol=0)
+    twice = surface_confidence(mesh, PLANE, 2.0, 0.0005)[162:][arm[:, 2] == 1.0]
+    torch.testing.assert_close(twice, 4 * end)  # distances are in units of the scale

@@ -194,3 +194,39 @@ def test_the_rig_turns_with_the_plane() -> None:
 
     slanted = F.normalize(torch.tensor([1.0, 2.0, -0.5]), dim=0)
     torch.testing.assert_close(heights(slanted), heights(torch.tensor([0.0, 0.0, 1.0])), atol=1e-5, rtol=0)
+
+
+def test_a_small_object_is_compared_as_large_as_its_crop(ball: Mesh) -> None:
+    """About 60 pixels of a 1024 x 768 picture: the region, its picture and its camera are the crop's."""
+    mesh = Mesh(ball.vertices * torch.tensor([1.2, 1.0, 0.8]), ball.faces)
+    focal = 130.0
+    camera = replace(Camera.look_at(30, 20, 2.4, 50, 1024, 768), fx=focal, fy=focal, cx=700.0, cy=500.0)
+    silhouette = hard_silhouette(ball, camera).float()
+    assert 50 < float(silhouette.sum(0).count_nonzero()) < 70
+    left, top = 620, 430
+    crop = replace(camera, cx=camera.cx - left, cy=camera.cy - top, width=160, height=120)
+    cropped = View(silhouette[top : top + 120, left : left + 160].contiguous(), crop)
+    frame = Frame.of(mesh, None)
+    whole, part = Region.around(View(silhouette, camera), mesh), Region.around(cropped, mesh)
+    assert part == Region(whole.left - left, whole.top - top, whole.side)
+    one = Target.of([View(silhouette, camera)], [whole], frame, 96)
+    other = Target.of([cropped], [part], frame, 96)
+    assert torch.equal(one.silhouette, other.silhouette)
+    assert torch.equal(one.known, other.known)
+    torch.testing.assert_close(one.intrinsics, other.intrinsics, atol=1e-3, rtol=0)
+    assert float(one.silhouette.mean()) > 0.3  # of the whole picture it was less than a hundredth
+    screen = one.project(frame.normalise(mesh.vertices))[..., :2]
+    assert 0 <= float(screen.amin()) <= float(screen.amax()) <= 96
+
+
+def test_a_region_holds_mesh_and_silhouette_with_a_margin() -> None:
+    """Silhouette in rows 10-19, columns 20-29; a mesh seen in columns 40-49 and rows 30-39."""
+    camera = Camera(torch.eye(4), 10.0, 10.0, 0.0, 0.0, 64, 64, "orthographic")
+    silhouette = torch.zeros(64, 64)
+    silhouette[10:20, 20:30] = 1
+    corners = torch.tensor([[4.0, 3, 1], [5, 3, 1], [5, 4, 1], [4, 4, 1]])
+    mesh = Mesh(corners, torch.tensor([[0, 1, 2], [0, 2, 3]]))
+    # together rows 10-40 and columns 20-50: 30 and a fifth, about (25, 35)
+    assert Region.around(View(silhouette, camera), mesh) == Region(left=17, top=7, side=36)
+    unseen = Mesh(corners + torch.tensor([100.0, 0.0, 0.0]), mesh.faces)
+    assert Region.around(View(silhouette, camera), unseen) == Region(left=19, top=9, side=12)
