@@ -217,12 +217,6 @@ def test_gradients() -> None:
     assert check(lambda v: losses.laplacian(v, neighbour_mean(v, topology)), vertices)
 
 
-def hinge(degrees: float) -> Tensor:
-    """Vertices of two triangles on the x axis, the second folded up by an angle from flat."""
-    angle = math.radians(degrees)
-    return torch.tensor([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, -math.cos(angle), math.sin(angle)]])
-
-
 @pytest.mark.parametrize(
     ("before", "after"), [(0, 40), (30, 70), (30, -30), (0, 180), (-90, -90), (170, -170)]
 )

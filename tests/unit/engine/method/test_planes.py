@@ -51,9 +51,8 @@ def scrap() -> Mesh:
 def rotation(seed: int) -> Tensor:
     """Any rotation, as a matrix."""
     random = torch.Generator().manual_seed(seed)
-    q, r = torch.linalg.qr(torch.randn(3, 3, generator=random, dtype=torch.float64))
-    q = q * r.diagonal().sign()
-    return (q * torch.linalg.det(q)).float()
+    q: Tensor = torch.linalg.qr(torch.randn(3, 3, generator=random))[0]
+    return q * torch.linalg.det(q)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from refine_engine.cameras.seen import hard_silhouette, mean_silhouette_iou
 from refine_engine.method.config import ProportionFit, RefineConfig
-from refine_engine.method.whole_mesh import fit_whole_mesh
 from refine_engine.method.presets import make_config
 from refine_engine.method.proportions import Basis, vertex_normals
 from refine_engine.method.symmetry import rotation_from_z
+from refine_engine.method.whole_mesh import fit_whole_mesh
 from refine_engine.values import Camera, Mesh, View
 
 CONFIG = RefineConfig()
