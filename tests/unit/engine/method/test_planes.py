@@ -52,7 +52,8 @@ def rotation(seed: int) -> Tensor:
     """Any rotation, as a matrix."""
     random = torch.Generator().manual_seed(seed)
     q: Tensor = torch.linalg.qr(torch.randn(3, 3, generator=random))[0]
-    return q * torch.linalg.det(q)
+    proper: Tensor = q * torch.linalg.det(q)
+    return proper
 
 
 @pytest.mark.parametrize("seed", range(6))
