@@ -22,7 +22,7 @@ def main(sample: Path, output: Path) -> None:
         )
         print(f"{refinement.id} {refinement.state}")
         for event in client.watch(refinement.id):
-            if event.progress is not None:
+            if event.progress is not None and event.progress.losses:  # from the first iteration on
                 progress = event.progress
                 print(
                     f"{progress.iteration}/{progress.total}  loss {progress.losses['total']:.3f}  "
