@@ -40,7 +40,7 @@ def test_the_sdk(served: Served, tmp_path: Path) -> None:
     )
     lines = done.stdout.splitlines()
     assert lines[0].endswith(" queued")
-    assert any(line.startswith("60/60  loss ") for line in lines)
+    assert any(line.startswith("40/40  loss ") for line in lines)
     assert str(tmp_path / "report.json") in lines
     check_refined((tmp_path / "refined.glb").read_bytes())
 
