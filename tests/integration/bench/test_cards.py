@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -31,7 +32,9 @@ def cards() -> ModuleType:
 
 def small(iterations: int = 2, train_encoder: bool = True) -> RefineConfig:
     stages = (Stage(iterations, 32, 3e-3),)
-    return RefineConfig(proportions=None, stages=stages, encoder_size=32, train_encoder=train_encoder)
+    return RefineConfig(
+        proportions=None, stages=stages, encoder_size=32, train_encoder=train_encoder, agreement=None
+    )
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
@@ -59,6 +62,10 @@ def test_presets_and_parts_are_measured(cards: ModuleType) -> None:
         parts = [row[0] for row in cards.time_parts(case, CPU, small(train_encoder=train_encoder), 1)]
         assert ("encoder" in parts) == train_encoder
         assert parts[-1] == "whole iteration"
+        assert "image symmetry" not in parts
+    paper = replace(RefineConfig.paper(), stages=(Stage(2, 32, 3e-3),), encoder_size=32)
+    parts = [row[0] for row in cards.time_parts(case, CPU, paper, 1)]
+    assert {"encoder", "hard renders", "image symmetry", "vertex symmetry"} <= set(parts)
 
 
 def test_streams_race(cards: ModuleType) -> None:
