@@ -47,8 +47,8 @@ class RefinementOptions(Input):
     seed: int = Field(0, ge=0, le=2**32 - 1, description="Same seed, same device: same result.")
     symmetry_normal: tuple[Number, Number, Number] | None = Field(
         None,
-        description="Normal of the object's mirror plane, world axes, any length but zero; unset: it is found "
-        "on the coarse mesh (preset paper: 0, 0, 1).",
+        description="Normal of the object's mirror plane, world axes, any length but zero; unset: found on "
+        "the coarse mesh (preset paper: 0, 0, 1).",
     )
     symmetry_offset: Number | None = Field(
         None,
