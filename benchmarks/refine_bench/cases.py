@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 import torch
 import trimesh
+from numpy.typing import NDArray
 
 from refine_engine.errors import RefineError
 from refine_engine.files.mesh_file import read_mesh
+from refine_engine.scores.scores import SurfacePoints
 from refine_engine.values import Mesh, View
 
 Direction = tuple[float, float, float]
+Truth = Mesh | SurfacePoints
 
 
 class SetInvalid(RefineError):
@@ -41,7 +44,16 @@ class Scene:
 
     coarse: Mesh
     view: View
-    ground_truth: Mesh | None
+    ground_truth: Truth | None
+    image: NDArray[np.uint8] | None = None  # (H, W, 3), where the set has one; what the network saw
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A mirror plane, world frame: normal . x = offset, where its place is known."""
+
+    normal: Direction
+    offset: float | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +66,8 @@ class Case:
     load: Callable[[], Scene]
     level: str = ""  # of the domain shift, where the set has levels
     asymmetric: bool = False
-    symmetry_normal: Direction = (0.0, 0.0, 1.0)  # of the set's canonical frame
+    plane: Plane | None = None  # of the true object; of an asymmetric one, where it is nearly symmetric
+    plane_told: bool = False  # a method hears of the plane's direction; its place it finds itself
 
 
 def mesh_of(shape: trimesh.Trimesh) -> Mesh:

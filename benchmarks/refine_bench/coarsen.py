@@ -87,7 +87,7 @@ def _predict(shapes: Sequence[trimesh.Trimesh], seed: int, config: Coarsening) -
         filled *= _kept(shapes[0], seed, origin, cell, config)
     density = gaussian_filter(filled, config.blur_cells)
     vertices, faces = _surface(density, config.occupancy_level, config.triangles)
-    return trimesh.Trimesh(_distort(vertices * cell + origin, rng, config), faces, process=False)
+    return trimesh.Trimesh(distort(vertices * cell + origin, rng, config), faces, process=False)
 
 
 def _kept(shape: trimesh.Trimesh, seed: int, origin: Array, cell: float, config: Coarsening) -> Array:
@@ -169,7 +169,7 @@ def _trilinear(density: Array) -> Callable[[float, float, float], float]:
     return field
 
 
-def _distort(vertices: Array, rng: Generator, config: Coarsening) -> Array:
+def distort(vertices: Array, rng: Generator, config: Coarsening) -> Array:
     """Shorten one side, bend, and get the proportions and the place wrong."""
     longest = float(np.ptp(vertices, 0).max())
     points = _shorten(vertices, rng, config.shortening)

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure  # without pyplot: files only, no window, no display needed
 
+from .cells import cell
 from .methods import TITLES
 from .records import Record, without_seeds
-from .tables import cell
 
 BEFORE, AFTER = "#e07b39", "#2f5fb3"
 LABELS = {"chamfer_l2": "Chamfer-l2 (x 1000)", "silhouette_iou": "2D IoU"}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 
 from torch import Tensor
@@ -18,11 +18,14 @@ from refine_engine.cameras.seen import mean_silhouette_iou
 from refine_engine.method.config import RefineConfig, Weights
 from refine_engine.method.loop import refine
 from refine_engine.method.outcome import State, keep
+from refine_engine.method.presets import PRESETS
 from refine_engine.method.whole_mesh import fit_whole_mesh
 from refine_engine.values import Camera, Mesh
 
 from . import baselines
 from .cases import Case, Scene, SetInvalid
+from .outcome import Method, Outcome
+from .white_box import white_box
 
 Plugin = Callable[[Mesh, Tensor, Camera], Mesh]
 
@@ -47,6 +50,9 @@ BASELINES: Mapping[str, baselines.Step] = {
     "vertices_adam": baselines.adam_step,
     "vertices_large_steps": baselines.large_step,
 }
+WHITE_BOX = "white_box"
+NAMES = (PLAIN, *PRESETS, *ABLATION, *BASELINES, WHITE_BOX)
+WITHOUT_CHANCE = frozenset({PROPORTIONS, *BASELINES, WHITE_BOX})  # another seed gives the same
 TITLES: Mapping[str, str] = {
     PROPORTIONS: "proportions, no network",
     "silhouette": "silhouette only",
@@ -56,21 +62,8 @@ TITLES: Mapping[str, str] = {
     ASYMMETRIC_ONLY: "all, lambda_B = 1.0",
     "vertices_adam": "vertices, Adam",
     "vertices_large_steps": "vertices, Large Steps",
+    WHITE_BOX: "white box: the network's latent code (MeshSDF)",
 }
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a method made of a case."""
-
-    mesh: Mesh
-    seconds: float
-    confidence: Tensor | None = None  # (V,)
-    loss_curve: Sequence[float] = ()
-    queue_s: float | None = None  # waited for a slot; of a server only
-
-
-Method = Callable[[Case, Scene, int], Outcome]  # the int is the seed
 
 
 def ablation(config: RefineConfig) -> list[str]:
@@ -83,10 +76,17 @@ def applies(method: str, case: Case) -> bool:
     return method != ASYMMETRIC_ONLY or case.asymmetric
 
 
+def seeds_of(method: str, seeds: Sequence[int]) -> Sequence[int]:
+    """The first only, where the others would give the same."""
+    return seeds[:1] if method in WITHOUT_CHANCE else seeds
+
+
 def make_method(name: str, config: RefineConfig) -> Method:
-    """`refine`, a name of ABLATION or of BASELINES, or `module:function`; raises SetInvalid for any other."""
+    """One of NAMES, or a plug-in `module:function`; raises SetInvalid for any other name."""
     if name == PLAIN:
         return _engine(config)
+    if name in PRESETS:
+        return _engine(PRESETS[name]())
     if name in WITHOUT:
         weights = replace(_all_terms(config).weights, **dict.fromkeys(WITHOUT[name], 0.0))
         return _engine(replace(config, weights=weights))
@@ -94,6 +94,8 @@ def make_method(name: str, config: RefineConfig) -> Method:
         return _proportions(config)
     if name == ASYMMETRIC_ONLY:
         return _engine(replace(_all_terms(config), confidence_cost=1.0))
+    if name == WHITE_BOX:
+        return white_box
     if name in BASELINES:
         return _baseline(config, BASELINES[name])
     return _plugin(name)
@@ -105,14 +107,16 @@ def _all_terms(config: RefineConfig) -> RefineConfig:
     return replace(config, weights=replace(config.weights, image_symmetry=weight))
 
 
-def _for(case: Case, config: RefineConfig) -> RefineConfig:
-    """A preset that has to be told the mirror plane is told it; the others find it."""
-    return replace(config, symmetry_normal=case.symmetry_normal)
+def told(config: RefineConfig, case: Case) -> RefineConfig:
+    """With what a method hears of the case's mirror plane: nothing, or where it is."""
+    if case.plane is None or not case.plane_told:
+        return config
+    return replace(config, symmetry="plane", symmetry_normal=case.plane.normal)
 
 
 def _engine(config: RefineConfig) -> Method:
     def method(case: Case, scene: Scene, seed: int) -> Outcome:
-        result = refine(scene.coarse, [scene.view], replace(_for(case, config), seed=seed))
+        result = refine(scene.coarse, [scene.view], replace(told(config, case), seed=seed))
         curve = result.loss_curve.get("total", ())  # none of a mesh that is returned as it came
         return Outcome(result.mesh, result.seconds, result.confidence, tuple(curve))
 
@@ -122,7 +126,7 @@ def _engine(config: RefineConfig) -> Method:
 def _proportions(config: RefineConfig) -> Method:
     def method(case: Case, scene: Scene, seed: int) -> Outcome:
         started = time.monotonic()
-        views, effective = [scene.view], _for(case, config)
+        views, effective = [scene.view], told(config, case)
         iou = mean_silhouette_iou(scene.coarse, views)
         if effective.agreement is not None and iou >= effective.agreement:
             state = keep(scene.coarse, views, effective, iou)
@@ -136,7 +140,7 @@ def _proportions(config: RefineConfig) -> Method:
 def _baseline(config: RefineConfig, step: baselines.Step) -> Method:
     def method(case: Case, scene: Scene, seed: int) -> Outcome:  # nothing in it is random
         started = time.monotonic()
-        effective = _for(case, config)
+        effective = told(config, case)
         state = baselines.optimise(scene.coarse, [scene.view], effective, step)
         return _outcome(state, effective, started)
 
@@ -156,7 +160,7 @@ def _plugin(name: str) -> Method:
         function: Plugin = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise SetInvalid(
-            f"expected a method among {', '.join((PLAIN, *ABLATION, *BASELINES))}, or module:function of a "
+            f"expected a method among {', '.join(NAMES)}, or module:function of a "
             f"plug-in that can be imported, got {name!r} ({error})"
         ) from error
 

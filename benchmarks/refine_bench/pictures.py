@@ -20,7 +20,7 @@ from refine_engine.artifacts.pictures import (
 from refine_engine.values import Camera, Mesh
 
 from .cases import Scene
-from .methods import Outcome
+from .outcome import Outcome
 
 SIDE = 168  # pixels of a panel
 MARGIN = 1.35  # of the window around the silhouette
@@ -33,12 +33,13 @@ def draw(scene: Scene, outcome: Outcome) -> bytes:
     input its silhouette against the refined one (grey both, blue only the input, orange only the refined)."""
     window = Window.around(scene.view.silhouette)
     front = window.camera(scene.view.camera)
-    side = side_camera(front, scene.ground_truth or scene.coarse, SIDE)
+    truth = scene.ground_truth if isinstance(scene.ground_truth, Mesh) else None
+    side = side_camera(front, truth or scene.coarse, SIDE)
     mask = window.crop(scene.view.silhouette)
     refined = (hard_render(outcome.mesh, front).face[0] >= 0).numpy()
     rows = []
     for camera, given in ((front, _mask_picture(mask)), (side, _difference(mask, refined))):
-        meshes = (scene.coarse, outcome.mesh, scene.ground_truth)
+        meshes = (scene.coarse, outcome.mesh, truth)
         panels = [given, *(_shaded(mesh, camera) for mesh in meshes), _confidence(outcome, camera)]
         rows.append(np.concatenate(panels, 1))
     return encode(np.concatenate(rows, 0))

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 from .cases import Case, SetInvalid
 
 Status = Literal["done", "failed", "skipped"]
+MEASURES = ("motion", "confidence_mean", "confidence_auc")  # of a result alone
 METRICS = ("emd", "chamfer_l2", "f_score", "volumetric_iou", "silhouette_iou")
 CURVE_POINTS = 120  # of a loss curve: as many as a small plot shows
 
-Scores = Mapping[str, float | None]  # by the names of METRICS; None: not measured
+Scores = Mapping[str, float | None]  # by the names of METRICS or MEASURES; None: not measured
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Record:
     message: str = ""  # why it failed or was skipped
     before: Scores | None = None
     after: Scores | None = None
+    measures: Scores = field(default_factory=dict)  # by MEASURES
     seconds: float = 0.0
     queue_s: float | None = None
     loss_curve: Sequence[float] = ()
@@ -113,14 +115,19 @@ def without_seeds(records: Sequence[Record]) -> list[Record]:
         if record.status == "done":
             groups.setdefault((record.case, record.method), []).append(record)
     return [
-        replace(group[0], before=_mean([r.before for r in group]), after=_mean([r.after for r in group]))
+        replace(
+            group[0],
+            before=_mean([r.before for r in group], METRICS),
+            after=_mean([r.after for r in group], METRICS),
+            measures=_mean([r.measures for r in group], MEASURES),
+        )
         for group in groups.values()
     ]
 
 
-def _mean(scores: Sequence[Scores | None]) -> Scores:
+def _mean(scores: Sequence[Scores | None], names: Sequence[str]) -> Scores:
     result: dict[str, float | None] = {}
-    for name in METRICS:
-        values = [s[name] for s in scores if s is not None and s[name] is not None]
+    for name in names:
+        values = [s[name] for s in scores if s is not None and s.get(name) is not None]
         result[name] = sum(v for v in values if v is not None) / len(values) if values else None
     return result

@@ -19,11 +19,10 @@ import trimesh
 from PIL import Image
 
 from refine_engine.files.mesh_file import read_mesh
-from refine_engine.method.presets import PRESETS
 from refine_engine.values import Camera, Mesh, View
 
 from .cases import Case, Scene, SetInvalid
-from .methods import Outcome
+from .outcome import Outcome
 
 
 class Refined(Protocol):
@@ -64,8 +63,8 @@ class ServerMethod:
     def __call__(self, case: Case, scene: Scene, seed: int) -> Outcome:
         mesh, silhouette = mesh_bytes(scene.coarse), silhouette_bytes(scene.view)
         options: dict[str, Any] = {"preset": self._preset, "seed": seed}
-        if PRESETS[self._preset]().symmetry == "plane":  # the others find it
-            options["symmetry_normal"] = list(case.symmetry_normal)
+        if case.plane is not None and case.plane_told:
+            options["symmetry_normal"] = list(case.plane.normal)
         with self._lock:
             self._first_start = self._first_start or time.monotonic()
         with tempfile.TemporaryDirectory(prefix="refine-bench-") as folder:

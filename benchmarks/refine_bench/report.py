@@ -7,10 +7,10 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 
+from .cells import COLUMNS
 from .methods import TITLES
 from .pictures import COLUMNS as PANELS
 from .records import Record
-from .tables import COLUMNS
 
 PLOT_WIDTH, PLOT_HEIGHT = 220, 90  # pixels of a loss curve
 STYLE = """

@@ -14,9 +14,11 @@ from refine_engine.scores.scores import Normalisation, evaluate
 from refine_engine.values import Mesh
 
 from .cases import Case, CaseSkipped, Scene
-from .methods import Method, Outcome, applies
+from .confidence import confidence_auc, mirror_distances
+from .methods import applies, seeds_of
+from .outcome import Method, Outcome
 from .pictures import draw
-from .records import METRICS, Record, Results, Scores, thinned
+from .records import MEASURES, METRICS, Record, Results, Scores, thinned
 from .show import Show
 
 
@@ -55,7 +57,7 @@ def run(plan: Plan, results: Results, show: Show) -> None:
         _Task(case, method, seed)
         for case in plan.cases
         for method in plan.methods
-        for seed in plan.seeds
+        for seed in seeds_of(method, plan.seeds)
         if applies(method, case) and not results.has((case.name, method, seed))
     ]
     before: dict[str, Scores] = {r.case: r.before for r in results.records if r.before is not None}
@@ -116,6 +118,7 @@ def _judged(plan: Plan, attempt: _Attempt, before: dict[str, Scores], results: R
         record,
         before=before[task.case.name],
         after=after,
+        measures=measures(task.case, scene, outcome),
         seconds=round(outcome.seconds, 3),
         queue_s=outcome.queue_s,
         loss_curve=thinned(outcome.loss_curve),
@@ -135,6 +138,25 @@ def score(plan: Plan, scene: Scene, mesh: Mesh) -> Scores:
         view=scene.view,
     )
     return asdict(scores)
+
+
+def measures(case: Case, scene: Scene, outcome: Outcome) -> Scores:
+    """By MEASURES: the mean motion of the vertices in per cent of the longest side, where the result still
+    has those of the coarse mesh; of the confidence its mean on a symmetric object, its AUC on an asymmetric
+    one, where the truth and its mirror plane are known."""
+    found: dict[str, float | None] = dict.fromkeys(MEASURES)
+    coarse, refined = scene.coarse.vertices, outcome.mesh.vertices
+    if coarse.shape == refined.shape:
+        side = float((coarse.amax(0) - coarse.amin(0)).max())
+        found["motion"] = 100.0 * float((refined - coarse).norm(dim=1).mean()) / side
+    truth, plane = scene.ground_truth, case.plane
+    if outcome.confidence is None or plane is None or plane.offset is None or not isinstance(truth, Mesh):
+        return found
+    if not case.asymmetric:
+        return found | {"confidence_mean": float(outcome.confidence.mean())}
+    used = outcome.mesh.faces.unique()
+    distances = mirror_distances(refined[used].double().numpy(), truth, plane.normal, plane.offset)
+    return found | {"confidence_auc": confidence_auc(outcome.confidence[used].double().numpy(), distances)}
 
 
 def _message(error: Exception | None) -> str:

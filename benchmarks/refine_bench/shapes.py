@@ -200,8 +200,13 @@ def make_shape(category: str, seed: int) -> trimesh.Trimesh:
     """
     if category not in GENERATORS:
         raise ValueError(f"expected a category among {', '.join(GENERATORS)}, got {category!r}")
-    solid = GENERATORS[category](np.random.default_rng(seed)).to_mesh()
-    vertices = np.asarray(solid.vert_properties, dtype=np.float64)[:, :3]
+    return normalised(GENERATORS[category](np.random.default_rng(seed)))
+
+
+def normalised(solid: Manifold) -> trimesh.Trimesh:
+    """The surface of a solid: longest side 1, its box centred in x and y, z left alone."""
+    mesh = solid.to_mesh()
+    vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3]
     low, high = vertices.min(0), vertices.max(0)
     centre = (low + high) / 2 * [1.0, 1.0, 0.0]
-    return trimesh.Trimesh((vertices - centre) / (high - low).max(), solid.tri_verts, process=False)
+    return trimesh.Trimesh((vertices - centre) / (high - low).max(), mesh.tri_verts, process=False)

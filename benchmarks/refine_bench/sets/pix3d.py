@@ -26,7 +26,16 @@ import torch
 from refine_engine.files.png import read_silhouette
 from refine_engine.values import Camera, View
 
-from ..cases import Case, CaseUnavailable, Scene, SetInvalid, existing_folder, read_bytes, read_mesh_file
+from ..cases import (
+    Case,
+    CaseUnavailable,
+    Plane,
+    Scene,
+    SetInvalid,
+    existing_folder,
+    read_bytes,
+    read_mesh_file,
+)
 from ..coarse_files import CoarseFolder
 
 SENSOR_WIDTH_MM = 32.0
@@ -74,7 +83,7 @@ class Pix3D:
                 f"{record['category']}_{_number(record)}",
                 record["category"],
                 partial(self.load, record),
-                symmetry_normal=SYMMETRY_NORMAL,
+                plane=Plane(SYMMETRY_NORMAL),
             )
             for record in records
             if not any(record.get(name) for name in HIDDEN)

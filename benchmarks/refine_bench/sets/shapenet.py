@@ -28,6 +28,7 @@ from ..cases import (
     Case,
     CaseSkipped,
     CaseUnavailable,
+    Plane,
     Scene,
     SetInvalid,
     existing_folder,
@@ -101,6 +102,7 @@ class ShapeNet:
                 SYNSETS[synset],
                 partial(self.load, synset, model),
                 asymmetric=self.asymmetric,  # `load` skips the others
+                plane=Plane((0.0, 0.0, 1.0)),
             )
             for synset, model in chosen
             if self._wanted(synset)

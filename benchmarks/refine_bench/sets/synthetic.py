@@ -18,9 +18,9 @@ from functools import partial
 import numpy as np
 
 from refine_engine.cameras.seen import hard_silhouette
-from refine_engine.values import Camera, View
+from refine_engine.values import Camera, Mesh, View
 
-from ..cases import Case, Scene, mesh_of
+from ..cases import Case, Plane, Scene, mesh_of
 from ..coarsen import MILD, STRONG, coarsen, mistake
 from ..shapes import ASYMMETRIC, make_shape
 
@@ -43,6 +43,7 @@ CATEGORIES: Mapping[str, tuple[str, str, str]] = {
     "table": ("table", "desk", "bench"),
 }
 SMALL_COUNT = 12
+MADE_PLANE = Plane((0.0, 0.0, 1.0), 0.0)  # of everything in `shapes`
 
 
 @dataclass(frozen=True)
@@ -64,19 +65,24 @@ class Instance:
         return zlib.crc32(f"{self.category}/{self.number}".encode())  # hash() differs from run to run
 
 
-def synthetic_cases(subset: str = "full") -> list[Case]:
-    """60 cases, or with the subset "small" 12 of them: every category once, four of each level."""
-    objects = [
+def objects() -> list[tuple[str, str, int]]:
+    """The twenty: category, generator and number in the category; the first ones of all categories first."""
+    return [
         (category, makers[number], number)
         for number in (0, 1)
         for category, makers in CATEGORIES.items()
     ]  # fmt: skip
+
+
+def synthetic_cases(subset: str = "full") -> list[Case]:
+    """60 cases, or with the subset "small" 12 of them: every category once, four of each level."""
+    entries = objects()
     if subset == "small":
-        rest = [entry for entry in objects[len(CATEGORIES) :] if entry[1] in ASYMMETRIC]
-        chosen = [*objects[: len(CATEGORIES)], *rest][:SMALL_COUNT]
+        rest = [entry for entry in entries[len(CATEGORIES) :] if entry[1] in ASYMMETRIC]
+        chosen = [*entries[: len(CATEGORIES)], *rest][:SMALL_COUNT]
         instances = [Instance(*entry, LEVELS[k % len(LEVELS)]) for k, entry in enumerate(chosen)]
     else:
-        instances = [Instance(*entry, level) for entry in objects for level in LEVELS]
+        instances = [Instance(*entry, level) for entry in entries for level in LEVELS]
     return [
         Case(
             instance.name,
@@ -84,6 +90,7 @@ def synthetic_cases(subset: str = "full") -> list[Case]:
             partial(make_scene, instance),
             instance.level,
             instance.generator in ASYMMETRIC,
+            MADE_PLANE,
         )
         for instance in instances
     ]
@@ -93,7 +100,6 @@ def make_scene(instance: Instance) -> Scene:
     """The object, a view of it, and the reconstruction of its level."""
     shape = make_shape(instance.generator, instance.seed)
     ground_truth = mesh_of(shape)
-    camera = random_camera(instance.seed)
     error_seed = instance.seed % 2**31 + LEVELS.index(instance.level)
     if instance.level == "out_of_class":
         other = CATEGORIES[instance.category][2]
@@ -101,8 +107,13 @@ def make_scene(instance: Instance) -> Scene:
         coarse = mistake(shape, known, error_seed, replace(STRONG, shortening=0.0))
     else:
         coarse = coarsen(shape, error_seed, MILD if instance.level == "mild" else LOSSY)
-    view = View(hard_silhouette(ground_truth, camera).float(), camera)
-    return Scene(mesh_of(coarse), view, ground_truth)
+    return Scene(mesh_of(coarse), full_view(ground_truth, instance.seed), ground_truth)
+
+
+def full_view(truth: Mesh, seed: int) -> View:
+    """The silhouette of the whole object by the camera that the seed names."""
+    camera = random_camera(seed)
+    return View(hard_silhouette(truth, camera).float(), camera)
 
 
 def random_camera(seed: int) -> Camera:

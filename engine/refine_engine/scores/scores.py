@@ -18,11 +18,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import torch
 from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
+from torch import Tensor
 
 from ..cameras.seen import silhouette_iou
 from ..errors import MeshInvalid
@@ -40,6 +42,20 @@ GROUND_TRUTH_SEED = 100  # added to a seed: the two clouds must not share their 
 
 
 @dataclass(frozen=True)
+class SurfacePoints:
+    """A true surface of which only points are known, spread evenly over it."""
+
+    points: Tensor  # (P, 3) float32, world units
+
+    def __post_init__(self) -> None:
+        p = self.points
+        if p.ndim != 2 or p.shape[1] != 3 or p.dtype != torch.float32 or len(p) == 0:
+            raise MeshInvalid(f"expected surface points (P, 3) float32, got {tuple(p.shape)} {p.dtype}")
+        if not torch.isfinite(p).all():
+            raise MeshInvalid("expected finite surface points, got NaN or infinity among them")
+
+
+@dataclass(frozen=True)
 class Scores:
     """The metrics of one mesh against its ground truth."""
 
@@ -49,15 +65,15 @@ class Scores:
     """Sum of both mean squared distances, squared normalised units x 1000."""
     f_score: float
     """Per cent, at a distance of 0.05 normalised units."""
-    volumetric_iou: float
-    """In [0, 1]."""
+    volumetric_iou: float | None
+    """In [0, 1]; None where the truth is points, which enclose nothing."""
     silhouette_iou: float | None
     """2D IoU in [0, 1] in the given view; None without a view."""
 
 
 def evaluate(
     predicted: Mesh,
-    ground_truth: Mesh,
+    ground_truth: Mesh | SurfacePoints,
     *,
     normalisation: Normalisation = "shared",
     seeds: Sequence[int] = range(5),
@@ -66,38 +82,43 @@ def evaluate(
     """Score a mesh against ground truth in the same frame.
 
     Chamfer-l2 and F-score are means over `seeds`; EMD and the volumetric IoU, which cost more and spread
-    less, are of the first seed. For the volumetric IoU "own" divides each mesh by its own box.
+    less, are of the first seed. For the volumetric IoU "own" divides each mesh by its own box. Of a truth
+    that is points all are compared, whatever the seed.
 
     Raises:
         MeshInvalid: a mesh has no surface area.
     """
     if not seeds:
         raise ValueError("expected at least one seed, got none")
-    meshes = [_triangles(predicted), _triangles(ground_truth)]
+    surfaces = [_corners(predicted), _corners(ground_truth)]  # (F, 3, 3) each, or (P, 3)
     if normalisation == "shared":
-        corners = meshes[1].reshape(-1, 3)
+        corners = surfaces[1].reshape(-1, 3)
         centre, half_side = (corners.min(0) + corners.max(0)) / 2, _half_longest_side(corners)
-        meshes = [(mesh - centre) / half_side for mesh in meshes]
+        surfaces = [(surface - centre) / half_side for surface in surfaces]
     rows, clouds_of_seed = [], []
     for seed in seeds:
         clouds = [
-            sample_surface(mesh, SURFACE_POINTS, np.random.default_rng(seed + offset))
-            for mesh, offset in zip(meshes, (0, GROUND_TRUTH_SEED), strict=True)
+            _cloud(surface, np.random.default_rng(seed + offset))
+            for surface, offset in zip(surfaces, (0, GROUND_TRUTH_SEED), strict=True)
         ]
         if normalisation == "own":
             clouds = [cloud / _half_longest_side(cloud) for cloud in clouds]
         clouds_of_seed.append(clouds)
         distances = nearest_distances(*clouds)
         rows.append((chamfer_l2(*distances), f_score(*distances)))
-    first = [cloud[:EMD_POINTS] for cloud in clouds_of_seed[0]]
+    fewest = min(EMD_POINTS, *(len(cloud) for cloud in clouds_of_seed[0]))
+    first = [cloud[:fewest] for cloud in clouds_of_seed[0]]
     if normalisation == "own":
-        meshes = [mesh / _half_longest_side(mesh.reshape(-1, 3)) for mesh in meshes]
+        surfaces = [surface / _half_longest_side(surface.reshape(-1, 3)) for surface in surfaces]
+    volume = None
+    if isinstance(ground_truth, Mesh):
+        volume = volumetric_iou(surfaces[0], surfaces[1], np.random.default_rng(seeds[0]))
     chamfer, f = np.mean(rows, 0)
     return Scores(
         emd=earth_mover_distance(first[0], first[1]),
         chamfer_l2=float(chamfer),
         f_score=float(f),
-        volumetric_iou=volumetric_iou(meshes[0], meshes[1], np.random.default_rng(seeds[0])),
+        volumetric_iou=volume,
         silhouette_iou=None if view is None else silhouette_iou(predicted, view),
     )
 
@@ -175,9 +196,20 @@ def _inside(triangles: Array, samples: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def _triangles(mesh: Mesh) -> Array:
-    triangles: Array = mesh.vertices.detach().cpu().double()[mesh.faces.cpu()].numpy()
+def _corners(surface: Mesh | SurfacePoints) -> Array:
+    """The triangles of a mesh (F, 3, 3), or points (P, 3)."""
+    if isinstance(surface, SurfacePoints):
+        points: Array = surface.points.detach().cpu().double().numpy()
+        return points
+    triangles: Array = surface.vertices.detach().cpu().double()[surface.faces.cpu()].numpy()
     return triangles
+
+
+def _cloud(surface: Array, rng: Generator) -> Array:
+    """Points of triangles, drawn by area; or all points in a random order."""
+    if surface.ndim == 3:
+        return sample_surface(surface, SURFACE_POINTS, rng)
+    return surface[rng.permutation(len(surface))]
 
 
 def _half_longest_side(points: Array) -> float:

@@ -9,8 +9,9 @@ import pytest
 import trimesh
 from PIL import Image
 
-from refine_bench.cases import mesh_of
+from refine_bench.cases import Case, Scene, mesh_of
 from refine_bench.command import bench_command
+from refine_bench.outcome import Outcome
 from refine_engine.cameras.seen import hard_silhouette
 from refine_engine.values import Camera
 
@@ -122,6 +123,56 @@ def test_two_seeds_of_two_methods_are_four_results(cases: Path) -> None:
     assert "## Methods side by side" in tables
     assert "## Spread over seeds" in tables
     assert len(lines(cases)) == 4
+
+
+def test_points_as_truth_are_scored_and_a_variant_has_its_own_results(
+    cases: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = trimesh.load(cases / "first" / "gt.obj", process=False)
+    np.savetxt(cases / "first" / "gt.xyz", trimesh.sample.sample_surface(truth, 3000, seed=0)[0])
+    (cases / "first" / "gt.obj").unlink()
+    assert bench(cases, "--method", "bench_plugin:shrink", "--case", "first") == 0
+    (line,) = lines(cases)
+    before, after = (line[when] for when in ("before", "after"))
+    assert isinstance(before, dict)
+    assert isinstance(after, dict)
+    assert after["chamfer_l2"] < 0.2 * before["chamfer_l2"]
+    assert after["volumetric_iou"] is None
+    keep = ["--method", "bench_plugin:keep", "--case", "second"]
+    assert bench(cases, *keep, "--variant", "truth") == 2  # other results lie in that folder
+    assert "with variant = None instead of truth" in capsys.readouterr().err
+    other = ["folder", str(cases), "--threads", "1", "-o", str(cases.parent / "truth")]
+    assert bench_command([*other, *keep, "--variant", "truth"]) == 0
+    (kept,) = (
+        json.loads(text) for text in (cases.parent / "truth" / "results.jsonl").read_text().splitlines()
+    )
+    assert kept["after"]["silhouette_iou"] == 1.0
+    assert kept["measures"]["motion"] == 0.0
+
+
+def test_the_plane_is_told_only_when_asked(cases: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = []
+
+    def method(case: Case, scene: Scene, seed: int) -> Outcome:
+        told.append(case.plane_told)
+        return Outcome(scene.coarse, 0.0)
+
+    monkeypatch.setattr("refine_bench.command.make_method", lambda name, config: method)
+    assert bench(cases, "--case", "first") == 0
+    out = str(cases.parent / "told")
+    assert bench_command(["folder", str(cases), "--case", "first", "--tell-plane", "-o", out]) == 0
+    assert told == [False, True]
+
+
+def test_a_set_can_be_written_as_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--level", "none", "--count", "1", "--set-seed", "4", "--write", str(tmp_path / "upstream")]
+    assert bench_command(["upstream", *arguments]) == 0
+    (name,) = (folder.name for folder in (tmp_path / "upstream" / "none").iterdir())
+    assert name == "airplane_0_none"
+    assert capsys.readouterr().out.strip().endswith(name)
+    files = {path.name for path in (tmp_path / "upstream" / "none" / name).iterdir()}
+    wanted = {"coarse.obj", "gt.obj", "silhouette.png", "camera.json", "image.png", "symmetry.json"}
+    assert files == wanted
 
 
 @pytest.mark.slow

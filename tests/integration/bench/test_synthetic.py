@@ -15,7 +15,7 @@ from refine_engine.values import Mesh
 
 def error(scene: Scene) -> float:
     """Chamfer-l2 of the coarse mesh, in units of the truth's box."""
-    assert scene.ground_truth is not None
+    assert isinstance(scene.ground_truth, Mesh)
     clouds = [
         sample_surface(mesh.vertices.double()[mesh.faces].numpy(), 3000, np.random.default_rng(seed))
         for seed, mesh in enumerate((scene.coarse, scene.ground_truth))
@@ -55,8 +55,8 @@ def test_levels_share_the_object_and_get_worse(category: str) -> None:
         if case.category == category and "_0_" in case.name
     }
     mild, strong, out_of_class = (scenes[level] for level in LEVELS)
-    assert mild.ground_truth is not None
-    assert strong.ground_truth is not None
+    assert isinstance(mild.ground_truth, Mesh)
+    assert isinstance(strong.ground_truth, Mesh)
     assert torch.equal(mild.ground_truth.vertices, strong.ground_truth.vertices)
     assert torch.equal(mild.view.silhouette, out_of_class.view.silhouette)
     assert error(mild) < error(strong)

@@ -17,8 +17,8 @@ import trimesh
 from scipy.sparse.linalg import splu
 
 from refine_bench import baselines
-from refine_bench.cases import Case, Scene, SetInvalid, mesh_of
-from refine_bench.methods import WITHOUT, ablation, applies, make_method
+from refine_bench.cases import Case, Plane, Scene, SetInvalid, mesh_of
+from refine_bench.methods import WITHOUT, ablation, applies, make_method, told
 from refine_bench.remote import ServerMethod
 from refine_engine import RefineConfig, make_artifacts, read_camera, read_inputs
 from refine_engine.cameras.seen import hard_silhouette, silhouette_iou
@@ -147,7 +147,7 @@ def test_a_plugin_gets_mesh_silhouette_and_camera(monkeypatch: pytest.MonkeyPatc
     outcome = make_method("my_method:grow", SHORT)(case(), scene(), 0)
     assert silhouette_iou(outcome.mesh, scene().view) > 0.99
     for wrong in ("my_method:shrink", "no_such_module:f", "nonsense"):
-        with pytest.raises(SetInvalid, match="expected a method among refine, proportions, silhouette"):
+        with pytest.raises(SetInvalid, match="expected a method among refine, paper, default"):
             make_method(wrong, SHORT)
 
 
@@ -189,11 +189,18 @@ class InProcess:
         return Answer(times, {name: directory / name for name in artifacts})
 
 
-def test_only_a_preset_that_does_not_find_the_mirror_plane_is_told_it() -> None:
-    client, sideways = InProcess(), replace(case(), symmetry_normal=(1.0, 0.0, 0.0))
-    for preset, told in (("paper", {"symmetry_normal": [1.0, 0.0, 0.0]}), ("default", {})):
-        ServerMethod(client, preset)(sideways, scene(), 3)
-        assert client.options == {"preset": preset, "seed": 3, **told}
+def test_a_server_is_told_the_plane_only_when_methods_are() -> None:
+    client, sideways = InProcess(), replace(case(), plane=Plane((1.0, 0.0, 0.0)))
+    for heard, sent in ((True, {"symmetry_normal": [1.0, 0.0, 0.0]}), (False, {})):
+        ServerMethod(client, "paper")(replace(sideways, plane_told=heard), scene(), 3)
+        assert client.options == {"preset": "paper", "seed": 3, **sent}
+
+
+def test_a_plane_that_is_told_is_not_looked_for() -> None:
+    sideways = replace(case(), plane=Plane((1.0, 0.0, 0.0)))
+    assert told(RefineConfig(), sideways) == RefineConfig()
+    config = told(RefineConfig(), replace(sideways, plane_told=True))
+    assert (config.symmetry, config.symmetry_normal) == ("plane", (1.0, 0.0, 0.0))
 
 
 def test_a_server_is_sent_what_it_reads_and_gives_what_the_engine_gives() -> None:

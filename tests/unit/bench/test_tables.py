@@ -3,14 +3,16 @@
 import csv
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from refine_bench.cases import SetInvalid
+from refine_bench.cells import cell
 from refine_bench.records import METRICS, Record, Results, thinned, without_seeds
 from refine_bench.report import badness, write_report
-from refine_bench.tables import cell, tables_csv, tables_markdown
+from refine_bench.tables import tables_csv, tables_markdown
 
 
 def record(
@@ -54,6 +56,34 @@ def test_the_table_has_a_row_per_category_and_the_paper_s_columns() -> None:
     assert "10.00 -> 4.00" in rows["median"]
     assert "± 3.06" in rows["standard error"]
     assert "1 of 3" in rows["made worse"]
+
+
+def test_what_got_worse_comes_first_and_the_summary_counts_it() -> None:
+    far = replace(record("far", 10.0, 15.0), level="strong", measures={"motion": 2.0})
+    text = tables_markdown([*RECORDS, far], "title")
+    assert text.index("## Made worse") < text.index("## Summary") < text.index("## refine")
+    worse = [line for line in text[: text.index("## Summary")].splitlines() if line.startswith("| x")]
+    assert [line.split("|")[1].strip() for line in worse] == ["x1.50", "x1.20"]
+    assert [line.split("|")[2].strip() for line in worse] == ["far", "two"]
+    lines = text[text.index("## Summary") : text.index("## refine")].splitlines()
+    mild, strong = (line for line in lines if line.startswith("| refine"))
+    # ratios 0.4, 1.2 and 1/3: geometric mean 0.16 ** (1 / 3)
+    cells = [cell.strip() for cell in mild.strip("|").split("|")]
+    assert cells[1:7] == ["mild", "3", "1", "1", "x1.20 two", "x0.543"]
+    assert strong.rstrip(" |").endswith("2.00 %")
+    better = tables_markdown([record("one", 10.0, 9.9)], "title")
+    assert "No case was made worse" in better
+
+
+def test_confidence_is_a_mean_on_symmetric_objects_and_an_auc_on_asymmetric_ones() -> None:
+    sure = replace(record("one", 10.0, 4.0), measures={"confidence_mean": 0.9, "confidence_auc": None})
+    unsure = replace(record("two", 10.0, 4.0), measures={"confidence_mean": 0.7, "confidence_auc": None})
+    chair = replace(record("a_chair", 10.0, 4.0), measures={"confidence_mean": None, "confidence_auc": 0.6})
+    text = tables_markdown([sure, unsure, chair], "title")
+    assert "| refine | 2 | 0.800 | 0.700 two | 1 | 0.600 | 0.600 a_chair |" in text
+    assert "Confidence of symmetry" not in tables_markdown(RECORDS, "title")
+    seeds = [sure, replace(sure, seed=1, measures={"confidence_mean": 0.8, "confidence_auc": None})]
+    assert without_seeds(seeds)[0].measures["confidence_mean"] == pytest.approx(0.85)
 
 
 def test_methods_are_compared_on_the_cases_that_all_did() -> None:

@@ -16,6 +16,7 @@ from refine_engine.cameras.seen import silhouette_iou
 from refine_engine.errors import MeshInvalid
 from refine_engine.scores import scores
 from refine_engine.scores.scores import (
+    SurfacePoints,
     chamfer_l2,
     earth_mover_distance,
     evaluate,
@@ -146,12 +147,31 @@ def test_normalisations_differ_in_what_they_forgive() -> None:
     small, large, moved = as_mesh(ball(0.5)), as_mesh(ball(1.0)), as_mesh(cube(3.0))
     own, shared = evaluate(small, large, normalisation="own", seeds=[0]), evaluate(small, large, seeds=[0])
     assert own.f_score > 99
+    assert own.volumetric_iou is not None
     assert own.volumetric_iou > 0.99
     assert shared.f_score == 0
     assert shared.chamfer_l2 == pytest.approx(1000 * 2 * 0.5**2, rel=0.05)
     assert evaluate(moved, moved, seeds=[0]).f_score > 95  # the frame's place is no error
     far = evaluate(moved, as_mesh(cube()), seeds=[0], normalisation="own")
     assert far.volumetric_iou == 0.0  # but a place that differs is, in both
+
+
+def test_points_may_be_the_truth() -> None:
+    """4,000 points of a ball against a ball of 0.9 times its radius: as good a truth as the ball itself."""
+    truth, smaller = as_mesh(ball()), as_mesh(ball(0.9))
+    points = torch.from_numpy(
+        sample_surface(corners(ball()), 4_000, np.random.default_rng(7)).astype(np.float32)
+    )
+    by_mesh, by_points = (evaluate(smaller, t, seeds=[0]) for t in (truth, SurfacePoints(points)))
+    assert by_points.chamfer_l2 == pytest.approx(by_mesh.chamfer_l2, rel=0.05)
+    assert by_points.f_score == pytest.approx(by_mesh.f_score, abs=1.0)
+    assert by_points.emd == pytest.approx(by_mesh.emd, rel=0.1)
+    assert by_points.volumetric_iou is None
+    few = evaluate(smaller, SurfacePoints(points[:50]), seeds=[0], normalisation="own")
+    assert few.emd > by_points.emd  # of 50 points each
+    for wrong in (points[:0], points[:, :2], points.double(), points * float("nan")):
+        with pytest.raises(MeshInvalid, match="surface points"):
+            SurfacePoints(wrong)
 
 
 @pytest.mark.usefixtures("few_emd_points")
