@@ -13,15 +13,16 @@ CLEARLY_WORSE = 1.05  # ratio of Chamfer-l2 after to before: below it the sampli
 
 
 def made_worse(records: Sequence[Record]) -> str:
-    """The cases whose Chamfer-l2 grew, the worst first."""
-    ratios = [(value, record) for record in records if (value := ratio(record)) is not None and value > 1.0]
-    if not ratios:
+    """The cases whose Chamfer-l2 grew, method after method, the worst first."""
+    methods = list(dict.fromkeys(record.method for record in records))
+    worse = [(value, record) for record in records if (value := ratio(record)) is not None and value > 1.0]
+    if not worse:
         return "No case was made worse in Chamfer-l2."
     rows = [
-        [f"x{value:.2f}", record.case, named(record.method), *(_shown([record]))]
-        for value, record in sorted(ratios, key=lambda pair: -pair[0])
+        [named(record.method), record.case, f"x{value:.2f}", *_shown([record])]
+        for value, record in sorted(worse, key=lambda pair: (methods.index(pair[1].method), -pair[0]))
     ]
-    return markdown(["ratio", "case", "method", *_labels()], rows)
+    return markdown(["method", "case", "ratio", *_labels()], rows)
 
 
 def summary(records: Sequence[Record]) -> str:

@@ -62,8 +62,8 @@ def test_what_got_worse_comes_first_and_the_summary_counts_it() -> None:
     far = replace(record("far", 10.0, 15.0), level="strong", measures={"motion": 2.0})
     text = tables_markdown([*RECORDS, far], "title")
     assert text.index("## Made worse") < text.index("## Summary") < text.index("## refine")
-    worse = [line for line in text[: text.index("## Summary")].splitlines() if line.startswith("| x")]
-    assert [line.split("|")[1].strip() for line in worse] == ["x1.50", "x1.20"]
+    worse = [line for line in text[: text.index("## Summary")].splitlines() if line.startswith("| refine")]
+    assert [line.split("|")[3].strip() for line in worse] == ["x1.50", "x1.20"]
     assert [line.split("|")[2].strip() for line in worse] == ["far", "two"]
     lines = text[text.index("## Summary") : text.index("## refine")].splitlines()
     mild, strong = (line for line in lines if line.startswith("| refine"))
