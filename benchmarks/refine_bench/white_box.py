@@ -30,8 +30,8 @@ from .upstream.reconstruct import surface
 
 ITERATIONS = 100
 LEARNING_RATE = 0.05  # of Adam, on the latent code
-PRIOR = 0.4  # weight of the squared distance from the first code, over its squared length; less overfits
-RENDER_SIDE, SOFTNESS = 112, 1e-4  # pixels; squared normalised device units
+PRIOR = 0.1  # weight of the squared distance from the first code, over its squared length; less overfits
+RENDER_SIDE, SOFTNESS = 224, 3e-5  # pixels; squared normalised device units
 LEAST_SLOPE = 2.0  # logits per unit of length: where the field is flat the level set has no place to move to
 
 network = cache(load_network)

@@ -124,11 +124,11 @@ def save_weights(network: Reconstruction, path: Path) -> None:
 
 
 def load_network(path: Path = WEIGHTS) -> Reconstruction:
-    """Ready to predict: statistics fixed, float32."""
+    """Ready to predict: float32, weights and statistics fixed."""
     network = Reconstruction()
     with np.load(path) as stored:
         network.load_state_dict({name: torch.from_numpy(stored[name]) for name in stored.files})
-    return network.float().eval()
+    return network.float().eval().requires_grad_(False)
 
 
 def _half(value: Tensor) -> Any:
