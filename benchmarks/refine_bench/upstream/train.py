@@ -1,7 +1,7 @@
-"""Trains the network: `python -m refine_bench.upstream.train` writes the weights that this project carries.
+"""Trains the network: `python -m refine_bench.upstream.train` writes weights like those of this project.
 
-Twenty-five minutes on one core of an AMD EPYC: 3,000 objects in five images each, drawn here.
-Rounding differs from processor to processor, so a second training gives another network of the same quality.
+Under half an hour on one core of an AMD EPYC: 3,150 objects in five images each, drawn here. Rounding differs
+from processor to processor, so every training gives another network, of the same quality.
 """
 
 from __future__ import annotations
