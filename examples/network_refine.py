@@ -2,7 +2,7 @@
 
 python examples/network_refine.py [KIND [OUTPUT_FOLDER]]
 KIND is what is photographed, such as bench, car, chair or sofa (all of `refine_bench.shapes`). The network
-was trained without benches, cars and lamps. Needed: pip install 'refine-mesh[bench]'. Under a minute.
+was trained without benches, cars and lamps. Needed: pip install '.[bench]'. Under a minute.
 """
 
 from __future__ import annotations

@@ -17,9 +17,9 @@ def test_from_an_image_to_a_refined_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(refine_engine, "make_config", partial(make_config, iterations=3))
-    monkeypatch.setattr("sys.argv", [str(EXAMPLE), "sofa", str(tmp_path)])
+    monkeypatch.setattr("sys.argv", [str(EXAMPLE), "bench", str(tmp_path)])
     runpy.run_path(str(EXAMPLE), run_name="__main__")
-    folder = tmp_path / "none" / "sofa_0_none"
+    folder = tmp_path / "strong" / "bench_0_strong"
     read_mesh((folder / "refined.glb").read_bytes(), "refined.glb")
     iou = json.loads((folder / "report.json").read_text())["silhouette_iou"]
     assert iou["after"] > iou["before"]
