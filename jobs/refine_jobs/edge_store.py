@@ -9,14 +9,12 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
-import logging
 import secrets
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import ValidationError
 from redis.asyncio import Redis
 
 from refine_proto.errors import (
@@ -41,8 +39,6 @@ from .scripts import Clock, Scripts
 from .settings import JobSettings
 
 _BUSY_RETRY_S = 10.0  # queue full: a job takes longer than this
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -169,11 +165,9 @@ class JobStore:
                 pipe.zrank(keys.QUEUED, job_id)
             values = await pipe.execute()
         # An entry without a record was removed between the two steps.
-        jobs = [
-            (Job.decode(f), rank) for f, rank in zip(values[::2], values[1::2], strict=True) if "spec" in f
-        ]
+        read = ((Job.read(fields), rank) for fields, rank in zip(values[::2], values[1::2], strict=True))
         return RefinementPage(
-            refinements=[job.refinement(rank) for job, rank in jobs],
+            refinements=[job.refinement(rank) for job, rank in read if job],
             next_cursor=_cursor(int(found[limit - 1][1])) if len(found) > limit else None,
         )
 
@@ -216,12 +210,8 @@ class JobStore:
 
     async def _find(self, job_id: str) -> Refinement | None:
         """None also for a record that only a newer version can read: its watchers still hear of its end."""
-        fields = await self._redis.hgetall(keys.JOB + job_id)
-        try:
-            return Job.decode(fields).refinement() if "spec" in fields else None
-        except ValidationError as error:
-            log.warning("job %s cannot be read: %s", job_id, error)
-            return None
+        job = Job.read(await self._redis.hgetall(keys.JOB + job_id))
+        return job.refinement() if job else None
 
     def _idempotency_key(self, submission: Submission) -> str:
         key = submission.idempotency_key

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from refine_proto.models import (
     Artifact,
@@ -26,6 +27,8 @@ from .blobs import Blob
 _JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou")
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
+
+log = logging.getLogger(__name__)
 
 
 class Submission(BaseModel):
@@ -79,6 +82,17 @@ class Job(BaseModel):
             if name in values:
                 values[name.replace("_ms", "_at")] = instant(values[name])
         return cls.model_validate(values)
+
+    @classmethod
+    def read(cls, fields: Mapping[str, str]) -> Self | None:
+        """As decode; None if there is no job, or one that only a newer version can read, which is logged."""
+        if "spec" not in fields:
+            return None
+        try:
+            return cls.decode(fields)
+        except ValidationError as error:
+            log.warning("job %s cannot be read: %s", fields["id"], error)
+            return None
 
     @property
     def timeout_s(self) -> float:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 from pydantic import BaseModel, ConfigDict
 
+from refine_proto.open_enum import OpenEnum
 
-class SlotState(StrEnum):
+
+class SlotState(OpenEnum):
     """What a slot is doing."""
 
     STARTING = "starting"

@@ -6,11 +6,9 @@ whose job went on without it gets LeaseLost instead of overwriting anything.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from pydantic import ValidationError
 from redis import Redis
 
 from refine_proto.errors import RefineError, WorkerLost
@@ -22,8 +20,6 @@ from .record import Job, encode, pairs, to_json
 from .scripts import Clock, Scripts
 from .settings import JobSettings
 from .slots import SlotStatus
-
-log = logging.getLogger(__name__)
 
 
 class LeaseLost(Exception):
@@ -191,12 +187,5 @@ class WorkerStore:
 
     def _jobs(self, job_ids: Sequence[str]) -> Iterator[Job]:
         for job_id in job_ids:
-            fields = self._redis.hgetall(keys.JOB + job_id)
-            if "spec" not in fields:
-                continue
-            try:
-                job = Job.decode(fields)
-            except ValidationError as error:  # of a newer version, whose reaper looks after it
-                log.warning("job %s cannot be read: %s", job_id, error)
-                continue
-            yield job
+            if job := Job.read(self._redis.hgetall(keys.JOB + job_id)):
+                yield job

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from datetime import datetime
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, field_validator
 
@@ -22,9 +22,8 @@ from .cameras import LookAtCamera as LookAtCamera
 from .cameras import MatrixCamera as MatrixCamera
 from .formats import SILHOUETTE_THRESHOLD
 from .formats import MeshFormat as MeshFormat
+from .open_enum import OpenEnum, of_newer_version
 from .strict import Input, Number, Positive
-
-EnumT = TypeVar("EnumT", bound=StrEnum)
 
 # ---- what a caller sends ----
 
@@ -90,25 +89,16 @@ class RefinementRequest(RefinementSpec):
 # ---- what a server sends ----
 
 
-def _of_newer_version(kind: type[EnumT], value: str) -> EnumT:
-    """The member of this value; one of its own for a value that only a newer version lists."""
-    if value in list(kind):
-        return kind(value)
-    member = str.__new__(kind, value)
-    member._name_, member._value_ = value.upper(), value
-    return member
-
-
 class Output(BaseModel):
     """Base of everything a server sends: frozen, finite numbers; ignores the fields of a newer server."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class State(StrEnum):
+class State(OpenEnum):
     """Where a Refinement is. A terminal state is written once and never changes, until the record expires.
 
-    Open: a state of a newer version reads as itself, is not terminal and equals its text.
+    A state that only a newer version has is not terminal.
     """
 
     QUEUED = "queued"
@@ -123,10 +113,6 @@ class State(StrEnum):
     def terminal(self) -> bool:
         """Whether nothing more will happen."""
         return self in (State.SUCCEEDED, State.FAILED, State.CANCELLED, State.EXPIRED)
-
-    @classmethod
-    def _missing_(cls, value: object) -> State | None:
-        return _of_newer_version(cls, value) if isinstance(value, str) else None
 
 
 class Progress(Output):
@@ -215,7 +201,7 @@ class Refinement(Output):
             return value
         known = {k: v for k, v in value.items() if k in RefinementOptions.model_fields}
         if isinstance(preset := known.get("preset"), str):
-            known["preset"] = _of_newer_version(Preset, preset)
+            known["preset"] = of_newer_version(Preset, preset)
         return known
 
 

@@ -220,7 +220,7 @@ def test_a_job_that_was_to_stop_when_its_worker_died_is_cancelled(jobs: Jobs) ->
     asyncio.run(scenario())
 
 
-def test_a_record_that_cannot_be_read_does_not_stop_the_reaper(jobs: Jobs) -> None:
+def test_a_record_that_cannot_be_read_stops_neither_the_reaper_nor_a_list(jobs: Jobs) -> None:
     """A newer version may write what this one does not know."""
 
     async def scenario() -> None:
@@ -231,6 +231,7 @@ def test_a_record_that_cannot_be_read_does_not_stop_the_reaper(jobs: Jobs) -> No
             jobs.redis.hset(keys.JOB + strange, "progress", "{}")
             jobs.redis.zadd(keys.LEASES, {strange: 1, lost: 2})
             assert reap(jobs.worker, jobs.blobs).taken_back == ((lost, State.QUEUED),)
+            assert [shown.id for shown in (await store.list("ann")).refinements] == [lost]
 
     asyncio.run(scenario())
 

@@ -147,6 +147,9 @@ def test_health_shows_slots_and_counts(jobs: Jobs) -> None:
 
             jobs.worker.hide("slot-0")
             assert await health.slots() == ()
+            jobs.worker.show(SlotStatus(name="slot-1", device="cpu", state=SlotState("resting")))
+            [newer] = await health.slots()  # of a newer version
+            assert (newer.state, newer.state in list(SlotState)) == ("resting", False)
             await client.aclose()
 
     asyncio.run(scenario())

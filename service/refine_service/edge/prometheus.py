@@ -82,7 +82,8 @@ class _Jobs(Collector):
                 _, state, reason = name.split(":")
                 ended.add_metric([state, reason], value)
         yield ended
-        yield self._slot_gauge("refine_slots_live", "Worker slots that are alive.", set(SlotState))
+        alive = {slot.state for slot in self._slots}
+        yield self._slot_gauge("refine_slots_live", "Worker slots that are alive.", alive)
         yield self._slot_gauge("refine_slots_busy", "Worker slots with a job.", {SlotState.BUSY})
 
     def _histogram(self, counted: str, name: str, text: str) -> Metric:
