@@ -60,7 +60,7 @@ def weld(positions: Floats, faces: Ints) -> Weld:
 
 
 def _exact_links(positions: Floats, faces: Ints) -> Ints:
-    place = _row_ids(positions + 0.0)  # + 0.0: -0.0 and 0.0 are one place
+    place = _row_ids(positions)
     first = _first_of(place)
     used = _used(faces, len(positions))
     seam = np.zeros(len(first), bool)

@@ -4,11 +4,12 @@ from collections import defaultdict
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from refine_engine.files.weld import Floats, Ints, weld
+from refine_engine.files.weld import Floats, Ints, smooth_groups, vertex_normals, weld
 
 
 def two(vertices: Any, faces: Any, shift: Any) -> tuple[Any, Any]:
@@ -40,14 +41,29 @@ def test_two_close_shells_stay_apart(tools: Any) -> None:
     assert len(weld(points, faces).source_of) == 16
 
 
-def test_copies_that_differ_by_rounding_are_joined(tools: Any) -> None:
+@pytest.mark.parametrize("centre", [0.0, 0.5, -3.0])
+@pytest.mark.parametrize("size", [0.001, 1.0, 1000.0])
+def test_copies_that_differ_by_rounding_are_joined(tools: Any, size: float, centre: float) -> None:
     noise = np.random.default_rng(0).uniform(-3e-6, 3e-6, tools.split.shape)
-    assert len(weld(tools.split + noise, tools.split_faces).source_of) == 8
+    assert len(weld(size * (tools.split + noise - centre), tools.split_faces).source_of) == 8
 
 
-def test_a_far_triangle_does_not_melt_a_small_object(tools: Any) -> None:
+def test_places_are_numbers_not_bits() -> None:
+    two_zeros = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 0, 0], [1, -0.0, 0], [0, 0, 1]])
+    assert len(weld(two_zeros, np.array([[0, 1, 2], [3, 4, 5]])).source_of) == 4
+
+
+def test_a_border_triangle_smaller_than_the_tolerance_is_not_swallowed() -> None:
+    square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    points = np.array([*square, [1 + 2e-6, 0, 0], [1, -2e-6, 0]], np.float64)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5]])
+    assert np.array_equal(weld(points, faces).faces, faces)
+
+
+@pytest.mark.parametrize("x", [0.0, 2000.0])
+def test_a_far_triangle_does_not_melt_a_small_object(tools: Any, x: float) -> None:
     far = np.array([[1e6, 0, 0], [1e6, 1, 0], [1e6, 0, 1]])
-    points = np.concatenate([tools.split.astype(np.float64), far])
+    points = np.concatenate([tools.split + np.array([x, 0.0, 0.0]), far])
     faces = np.concatenate([tools.split_faces, [[24, 25, 26]]])
     assert len(weld(points, faces).source_of) == 11
 
@@ -69,6 +85,26 @@ def test_triangles_without_an_area_of_their_own_go(tools: Any) -> None:
     joined = weld(points, faces)
     assert np.array_equal(joined.faces, tools.cube_faces)
     assert joined.vertex_of[8] == 0
+
+
+def test_copies_of_a_vertex_share_a_normal_unless_an_edge_is_hard() -> None:
+    up, nearly_up, side = [0.0, 1.0, 0.0], [0.05, 0.99875, 0.0], [1.0, 0.0, 0.0]
+    copies = [(0, up), (1, up), (0, nearly_up), (0, side), (1, nearly_up), (2, up), (-1, up), (-1, up)]
+    vertex_of, normals = (np.array(column) for column in zip(*copies, strict=True))
+    group = smooth_groups(vertex_of, normals)
+    assert groups(group, np.arange(8)) == {
+        frozenset(names) for names in ({0, 2}, {1, 4}, {3}, {5}, {6}, {7})
+    }  # which vertex of the file is in which
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
+def test_a_normal_is_the_mean_by_area_whichever_way_the_triangles_are_wound(size: float) -> None:
+    """Triangle 0-1-2 lies on the ground and faces up; 0-3-1 stands and faces -Z, its normals +Z."""
+    points = size * np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    faces, half = np.array([[0, 1, 2], [0, 3, 1]]), np.sqrt(0.5)
+    shown = np.tile([0.0, half, half], (4, 1))
+    normals = vertex_normals(points, points, faces, np.arange(4), shown)
+    np.testing.assert_allclose(normals, [[0, half, half], [0, half, half], [0, 1, 0], [0, 0, 1]], atol=1e-12)
 
 
 @st.composite
