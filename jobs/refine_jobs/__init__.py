@@ -13,5 +13,6 @@ worker_store   WorkerStore: jobs as a slot and the reaper see them, synchronous
 feed           the events of jobs, for any number of watchers
 reaper         lost slots, lost deliveries, old data: put right now and then
 slots          what a slot says of itself
+logs           one JSON object per line, for service and worker
 health         what readiness and metrics need to know of all processes
 """
