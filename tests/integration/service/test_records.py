@@ -56,7 +56,7 @@ def test_both_transports_show_the_same_record(
 
 def test_an_error_of_the_server_is_none_of_the_job(client: RefineClient, hand: Hand) -> None:
     refinement_id = submit(client).id
-    hand.redis.hset(keys.JOB + refinement_id, "state", "no state")
+    hand.redis.hset(keys.JOB + refinement_id, "progress", "{}")
     with pytest.raises(ServerError, match="not of the request") as caught:
         client.get(refinement_id)
     assert caught.value.reason == "SERVER_ERROR"
