@@ -68,6 +68,15 @@ def test_a_far_triangle_does_not_melt_a_small_object(tools: Any, x: float) -> No
     assert len(weld(points, faces).source_of) == 11
 
 
+@pytest.mark.parametrize(("gap", "vertices"), [(0.05, 6), (0.3, 9)])
+def test_borders_nearer_than_a_tenth_of_an_edge_are_joined(gap: float, vertices: int) -> None:
+    """Edges of length 1, and a triangle so far away that the tolerance alone would join what is 0.5 apart."""
+    triangle = np.array([[2000.0, 0, 0], [2001, 0, 0], [2000, 1, 0]])
+    near, far = np.array([0, 0, gap]), np.array([50_000, 0, 0])
+    points = np.concatenate([triangle, triangle + near, triangle + far])
+    assert len(weld(points, np.arange(9).reshape(3, 3)).source_of) == vertices
+
+
 def test_a_sheet_stored_once_per_side_is_one_sheet(tools: Any) -> None:
     points, faces = two(tools.cube, tools.cube_faces, [0, 0, 0])
     faces[len(faces) // 2 :] = faces[len(faces) // 2 :, ::-1]
@@ -100,11 +109,12 @@ def test_copies_of_a_vertex_share_a_normal_unless_an_edge_is_hard() -> None:
 @pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
 def test_a_normal_is_the_mean_by_area_whichever_way_the_triangles_are_wound(size: float) -> None:
     """Triangle 0-1-2 lies on the ground and faces up; 0-3-1 stands and faces -Z, its normals +Z."""
-    points = size * np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    points = size * np.array([[3.0, 5, -2], [4, 5, -2], [3, 5, -3], [3, 6, -2], [0, 0, 0]])
     faces, half = np.array([[0, 1, 2], [0, 3, 1]]), np.sqrt(0.5)
-    shown = np.tile([0.0, half, half], (4, 1))
-    normals = vertex_normals(points, points, faces, np.arange(4), shown)
-    np.testing.assert_allclose(normals, [[0, half, half], [0, half, half], [0, 1, 0], [0, 0, 1]], atol=1e-12)
+    shown = np.tile([0.0, half, half], (5, 1))
+    normals = vertex_normals(points, points, faces, np.arange(5), shown)
+    mean, ground, wall = [0, half, half], [0, 1, 0], [0, 0, 1]
+    np.testing.assert_allclose(normals, [mean, mean, ground, wall, shown[4]], atol=1e-12)
 
 
 @st.composite
