@@ -65,7 +65,7 @@ def optimise(mesh: Mesh, views: Sequence[View], config: RefineConfig, step: Step
             update(iteration)
             confidences.step()
     fit.progress(config.iterations)
-    return judge(mesh, State.of(whole, config), fit.state(), whole.views, config, iou_before)
+    return judge(mesh, whole, fit.state(), config, iou_before)
 
 
 def adam_step(topology: Topology, start: Tensor) -> tuple[Callable[[], Tensor], Callable[[int], None]]:

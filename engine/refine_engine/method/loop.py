@@ -116,7 +116,7 @@ def _optimise(
                     report(fit.progress(iteration))
                     reported = now
     fit.progress(config.iterations)
-    return judge(mesh, State.of(whole, config), fit.state(), whole.views, config, iou_before)
+    return judge(mesh, whole, fit.state(), config, iou_before)
 
 
 class Fit:
@@ -152,7 +152,7 @@ class Fit:
         if self.config.unexplained_depth is not None:
             lost = find_unexplained(self.coarse, self.seen_faces, self.target, self.config.unexplained_depth)
             self.target = replace(self.target, known=self.target.known * ~lost)
-        if self.normal is not None:
+        if self.normal is not None and self.config.weights.image_symmetry:
             self.pairs = SymmetryViews.of(self.config, stage.render_size, self.normal)
         self.best.forget()
 
@@ -240,11 +240,13 @@ class Fit:
         confidence = self.best.confidence
         if not self.config.learn_confidence:
             confidence = confidence_of(mesh, self.whole.plane, self.config)
-        return replace(
-            State.of(self.whole, self.config),
-            outcome="refined",
-            mesh=mesh,
-            confidence=confidence,
+        return State(
+            "refined",
+            mesh,
+            self.whole.there,
+            self.whole.plane,
+            confidence,
+            self.whole.camera_turn_degrees,
             best_iteration=int(self.best.at),
             loss_curve=self.loss_curve(),
         )

@@ -62,21 +62,16 @@ def keep(
     return State("kept", mesh, everything, plane, confidence_of(mesh, plane, config))
 
 
-def judge(
-    coarse: Mesh,
-    fitted: State,
-    refined: State,
-    views: Sequence[View],
-    config: RefineConfig,
-    iou_before: float,
-) -> State:
-    """The last of coarse, fitted and refined whose 2D IoU is not below that of the coarse mesh.
+def judge(coarse: Mesh, whole: WholeMesh, refined: State, config: RefineConfig, iou_before: float) -> State:
+    """The last of coarse, moved as a whole and refined whose 2D IoU is not below that of the coarse mesh.
 
-    `views` have the cameras that are taken to be true. The paper hands back what its network made.
+    The paper hands back what its network made.
     """
+    views = whole.views
     if config.proportions is None or refined.silhouette_iou(views, config) >= iou_before:
         return refined
     told = "the network's result agreed less with the silhouette than the coarse mesh did"
+    fitted = State.of(whole, config)
     if fitted.silhouette_iou(views, config) >= iou_before:
         state, now = fitted, "the mesh was moved as a whole only"
     else:

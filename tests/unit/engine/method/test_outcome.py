@@ -9,6 +9,7 @@ from refine_engine.cameras.seen import hard_silhouette
 from refine_engine.method.config import RefineConfig, Stage
 from refine_engine.method.loop import refine
 from refine_engine.method.outcome import State, confidence_of, judge, keep
+from refine_engine.method.whole_mesh import WholeMesh
 from refine_engine.values import Camera, Mesh, Outcome, Progress, View
 
 CAMERA = Camera.look_at(40, 20, 1.9, 50, 64, 64)
@@ -28,6 +29,12 @@ def state(outcome: Outcome, mesh: Mesh) -> State:
     return State(
         outcome, mesh, everything, None, torch.zeros(len(mesh.vertices)), loss_curve={"total": [1.0]}
     )
+
+
+def moved(mesh: Mesh, truth: Mesh) -> WholeMesh:
+    """The mesh moved as a whole, seen as `truth` is seen."""
+    everything = torch.ones(len(mesh.faces), dtype=torch.bool)
+    return WholeMesh(mesh, everything, (view_of(truth),), None, 0.0)
 
 
 def test_a_mesh_that_agrees_is_kept_as_it_came(ball: Mesh) -> None:
@@ -57,15 +64,15 @@ def test_less_agreement_than_asked_for_is_refined(ball: Mesh, agreement: float |
 
 def test_a_result_that_is_not_worse_is_returned(ball: Mesh) -> None:
     refined = state("refined", ball)
-    fitted = state("fitted", scaled(ball, 0.9))
-    assert judge(scaled(ball, 0.8), fitted, refined, [view_of(ball)], CONFIG, 0.64) is refined
+    whole = moved(scaled(ball, 0.9), ball)
+    assert judge(scaled(ball, 0.8), whole, refined, CONFIG, 0.64) is refined
 
 
 def test_a_worse_result_gives_way_to_the_fitted_mesh(ball: Mesh) -> None:
-    fitted, refined = state("fitted", scaled(ball, 0.9)), state("refined", scaled(ball, 0.5))
-    judged = judge(scaled(ball, 0.8), fitted, refined, [view_of(ball)], CONFIG, 0.64)
+    whole, refined = moved(scaled(ball, 0.9), ball), state("refined", scaled(ball, 0.5))
+    judged = judge(scaled(ball, 0.8), whole, refined, CONFIG, 0.64)
     assert judged.outcome == "fitted"
-    assert judged.mesh is fitted.mesh
+    assert judged.mesh is whole.mesh
     assert judged.loss_curve == refined.loss_curve
     assert judged.warnings == (
         "the network's result agreed less with the silhouette than the coarse mesh did: "
@@ -75,8 +82,8 @@ def test_a_worse_result_gives_way_to_the_fitted_mesh(ball: Mesh) -> None:
 
 def test_when_both_are_worse_the_coarse_mesh_comes_back(ball: Mesh) -> None:
     coarse = scaled(ball, 0.8)
-    fitted, refined = state("fitted", scaled(ball, 0.6)), state("refined", scaled(ball, 0.5))
-    judged = judge(coarse, fitted, refined, [view_of(ball)], CONFIG, 0.64)
+    whole, refined = moved(scaled(ball, 0.6), ball), state("refined", scaled(ball, 0.5))
+    judged = judge(coarse, whole, refined, CONFIG, 0.64)
     assert judged.outcome == "kept"
     assert judged.mesh is coarse
     assert judged.loss_curve == refined.loss_curve
@@ -85,9 +92,8 @@ def test_when_both_are_worse_the_coarse_mesh_comes_back(ball: Mesh) -> None:
 
 
 def test_the_paper_returns_what_its_network_made(ball: Mesh) -> None:
-    fitted, refined = state("fitted", ball), state("refined", scaled(ball, 0.5))
-    config = RefineConfig.paper()
-    assert judge(scaled(ball, 0.8), fitted, refined, [view_of(ball)], config, 0.64) is refined
+    whole, refined = moved(ball, ball), state("refined", scaled(ball, 0.5))
+    assert judge(scaled(ball, 0.8), whole, refined, RefineConfig.paper(), 0.64) is refined
 
 
 def test_a_mesh_without_its_webs_is_judged_without_them(ball: Mesh) -> None:
