@@ -12,7 +12,7 @@ from typing import Literal
 from ..errors import OptionsInvalid
 
 Symmetry = Literal["auto", "plane", "none"]
-Topology = Literal["open", "fixed"]
+Topology = Literal["auto", "open", "fixed"]
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class ProportionFit:
     softness: float = 1e-5
     """As in Stage; sharp, because the image pyramid reaches far and a soft outline is biased outwards."""
     learning_rate: float = 0.015
-    evidence: float = 0.04
+    evidence: float = 0.1
     """The logarithm's factor: a fit that leaves much of the difference weighs less against the priors."""
-    noise: float = 0.04
+    noise: float = 0.1
     """The difference d below which more agreement is worth little."""
     shape_prior: float = 0.2
     """On the logarithms of the scales and on the shear."""
@@ -122,14 +122,16 @@ class RefineConfig:
     """Confidences from the network's head (paper: True), or those that minimise their losses."""
     opening: Opening = field(default_factory=Opening)
     """Which faces cover the silhouette's background, and are left out of the renders (paper: none)."""
-    topology: Topology = "open"
-    """open: these faces are removed from the result; fixed: it has all faces of the coarse mesh."""
+    topology: Topology = "auto"
+    """open: these faces are removed from the result; fixed: it has all faces of the coarse mesh; auto: open,
+    but fixed for a file with a texture, where a hole would show."""
     crop: bool = True
     """Compare images of the object, not of the whole picture (paper: False)."""
     pyramid: bool = True
     """Compare the silhouettes over an image pyramid, not pixel by pixel by cross entropy (paper: False)."""
     unexplained_depth: float | None = 0.05
-    """Sizes of the object: pixels that the mesh misses by more do not pull at it; None: all do (paper)."""
+    """Sizes of the object: background pixels that the mesh covers by more do not pull at it; None: all do
+    (paper)."""
     regularise_change: bool = True
     """Laplacian and folds of the change since the coarse mesh, not of the mesh itself (paper: False)."""
     seed: int = 0

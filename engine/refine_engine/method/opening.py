@@ -40,13 +40,13 @@ def find_outside(vertices: Tensor, faces: Tensor, target: Target, opening: Openi
 def find_unexplained(vertices: Tensor, faces: Tensor, target: Target, depth: float) -> Tensor:
     """The pixels (B, N, N) bool of `target` that no small motion of normalised vertices (V, 3) will explain.
 
-    Lost parts and webs: where the object is and the mesh is farther than `depth` object sizes, or the other
-    way round, with what lies around such a place.
+    Webs: where the mesh is and the object is farther than `depth` object sizes, with what lies around such a
+    place. A lost part does pull: what moves towards it is nearer to the truth than nothing there.
     """
     covered = rasterize(target.project(vertices), faces, (target.side, target.side)).face >= 0
     wanted = target.silhouette > 0.5
     pairs = zip(wanted, covered, strict=True)
-    return torch.stack([_deep(one, other, depth) | _deep(other, one, depth) for one, other in pairs])
+    return torch.stack([_deep(mesh, object_, depth) for object_, mesh in pairs])
 
 
 def _deep(one: Tensor, other: Tensor, depth: float) -> Tensor:
