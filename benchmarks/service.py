@@ -31,12 +31,13 @@ from refine_jobs.redis_server import connect
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
 from refine_proto.formats import ARTIFACTS, ArtifactName
-from refine_proto.models import Artifact, Progress, SilhouetteIou, State
+from refine_proto.models import Artifact, Judgement, Outcome, Progress, SilhouetteIou, State
 
 SAMPLE = Path(__file__).parents[1] / "examples/samples/chair"
 CAMERA = json.loads((SAMPLE / "camera.json").read_text())
 SILHOUETTE = (SAMPLE / "silhouette.png").read_bytes()
 MIB = 2**20
+JUDGEMENT = Judgement(silhouette_iou=SilhouetteIou(before=0.5, after=0.9), outcome=Outcome.REFINED)
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,7 @@ async def watch(service: Installation, watchers: int = 500) -> None:
         for iteration in range(10):
             worker.report(job, Progress(iteration=iteration, total=10, percent=10.0 * iteration))
         ended = time.perf_counter()
-        worker.finish(job, [], SilhouetteIou(before=0.5, after=0.9))
+        worker.finish(job, [], JUDGEMENT)
         await asyncio.gather(*tasks)
     print(
         f"watch: {completed} of {watchers} watchers got the end, within {time.perf_counter() - ended:.2f} s; "
@@ -199,7 +200,7 @@ def memory(service: Installation) -> None:
             name = ArtifactName.REFINED
             blob = blobs.put(keys.artifact_blob(job.id, job.attempt, name), mesh.read_bytes())
             artifact = Artifact(name=name, media_type=ARTIFACTS[name], **vars(blob))
-            worker.finish(job, [artifact], SilhouetteIou(before=0.5, after=0.9))
+            worker.finish(job, [artifact], JUDGEMENT)
             client.download(refinement.id, service.folder / refinement.id)
             down = service.peak_memory_mb()
         transport = server.partition("://")[0]

@@ -149,7 +149,7 @@ def _baseline(config: RefineConfig, step: baselines.Step) -> Method:
 
 def _outcome(state: State, config: RefineConfig, started: float) -> Outcome:
     """As `refine` hands a state back: without its webs, if the config opens them."""
-    faces = state.mesh.faces[state.there] if config.topology == "open" else state.mesh.faces
+    faces = state.mesh.faces[state.there] if config.topology != "fixed" else state.mesh.faces
     curve = tuple(state.loss_curve.get("total", ()))
     return Outcome(Mesh(state.mesh.vertices, faces), time.monotonic() - started, state.confidence, curve)
 

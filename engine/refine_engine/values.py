@@ -195,6 +195,8 @@ class Result:
     silhouette_iou_after: float
     outcome: Outcome
     plane: MirrorPlane | None  # the mirror plane that was used; None: the object has none
-    camera_turn_degrees: float  # by which the cameras were corrected, about the object
+    camera_turn_degrees: (
+        float | None
+    )  # by which the cameras were turned about the object; None: they were not
     seconds: float
     warnings: tuple[str, ...] = ()

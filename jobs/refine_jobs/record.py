@@ -12,8 +12,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from refine_proto.models import (
     Artifact,
+    CameraCorrection,
     Event,
     EventType,
+    MirrorPlane,
+    Outcome,
     ProblemDetails,
     Progress,
     Refinement,
@@ -24,7 +27,8 @@ from refine_proto.models import (
 
 from .blobs import Blob
 
-_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou")
+_OF_RESULT = ("silhouette_iou", "warnings", "mirror_plane", "camera_correction")
+_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", *_OF_RESULT)
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
 
@@ -67,6 +71,10 @@ class Job(BaseModel):
     error: ProblemDetails | None = None
     artifacts: tuple[Artifact, ...] = ()
     silhouette_iou: SilhouetteIou | None = None
+    outcome: Outcome | None = None
+    warnings: tuple[str, ...] = ()
+    mirror_plane: MirrorPlane | None = None
+    camera_correction: CameraCorrection | None = None
     request_id: str | None = None
     traceparent: str | None = None
     sequence: int = 0  # of its last event
@@ -115,6 +123,10 @@ class Job(BaseModel):
             queue_position=queue_position,
             silhouette_iou=self.silhouette_iou,
             attempt=self.attempt,
+            outcome=self.outcome,
+            warnings=list(self.warnings),
+            mirror_plane=self.mirror_plane,
+            camera_correction=self.camera_correction,
         )
 
 

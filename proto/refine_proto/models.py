@@ -9,11 +9,12 @@ Conventions: world right-handed, Y up; lengths in world units of the mesh; times
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, field_validator
+from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 # "X as X": callers find all values of the contract here.
 from .cameras import CameraSpec as CameraSpec
@@ -36,6 +37,24 @@ class Preset(StrEnum):
     FAST = "fast"
 
 
+class Symmetry(StrEnum):
+    """Where the object's mirror plane comes from."""
+
+    AUTO = "auto"  # found on the coarse mesh; none if it has none
+    PLANE = "plane"  # given by its normal, (0, 0, 1) unless said otherwise
+    NONE = "none"  # the object has none
+
+
+class Topology(StrEnum):
+    """Which faces of the coarse mesh the refined one has."""
+
+    OPEN = "open"  # webs over holes, which cover the silhouette's background, are removed
+    FIXED = "fixed"  # all
+
+
+_KINDS: Mapping[str, type[StrEnum]] = {"preset": Preset, "symmetry": Symmetry, "topology": Topology}
+
+
 class RefinementOptions(Input):
     """How to refine. Every field has a default; a Refinement shows the effective values."""
 
@@ -44,14 +63,27 @@ class RefinementOptions(Input):
         None, ge=1, le=10_000, description="Optimisation steps; unset: the preset's."
     )
     seed: int = Field(0, ge=0, le=2**32 - 1, description="Same seed, same device: same result.")
+    symmetry: Symmetry | None = Field(
+        None,
+        description="auto: the mirror plane is found on the coarse mesh; plane: it has the given normal and "
+        "offset; none: the object has none. Unset: plane if a normal or an offset is given and for preset "
+        "paper, else auto.",
+    )
     symmetry_normal: tuple[Number, Number, Number] | None = Field(
         None,
-        description="Normal of the object's mirror plane, world axes, any length but zero; unset: found on "
-        "the coarse mesh (preset paper: 0, 0, 1).",
+        description="Normal of the object's mirror plane, world axes, any length but zero; unset: 0, 0, 1.",
     )
     symmetry_offset: Number | None = Field(
         None,
         description="Where the mirror plane cuts its normal, world units; unset: the coarse mesh decides.",
+    )
+    topology: Topology | None = Field(
+        None,
+        description="open: faces that cover the silhouette's background are removed; fixed: none are. Unset: "
+        "fixed for a mesh with a texture and for preset paper, else open.",
+    )
+    correct_camera: bool = Field(
+        False, description="The camera is a few degrees off: turn it about the object as the silhouette asks."
     )
     silhouette_threshold: Number = Field(
         SILHOUETTE_THRESHOLD,
@@ -69,6 +101,20 @@ class RefinementOptions(Input):
         if normal and math.sqrt(sum(x * x for x in normal)) <= 1e-6:  # as in the engine's RefineConfig
             raise ValueError(f"expected a normal with a length of more than 1e-6, got {list(normal)}")
         return normal
+
+    @model_validator(mode="after")
+    def _agrees_with_itself(self) -> Self:
+        given = self.symmetry_normal is not None or self.symmetry_offset is not None
+        if given and self.symmetry in (Symmetry.AUTO, Symmetry.NONE):
+            raise ValueError(
+                f"expected no symmetry_normal and no symmetry_offset with symmetry {self.symmetry}, got one; "
+                "leave symmetry out or say plane"
+            )
+        if self.correct_camera and self.preset is Preset.PAPER:
+            raise ValueError(
+                "expected no correct_camera with preset paper, whose cameras are exact, got true"
+            )
+        return self
 
 
 class RefinementSpec(Input):
@@ -126,11 +172,47 @@ class Progress(Output):
     silhouette_iou: float = Field(0.0, description="2D IoU of the current iterate with the silhouette.")
 
 
+class Outcome(OpenEnum):
+    """What was handed back."""
+
+    REFINED = "refined"  # the network's best iterate
+    FITTED = "fitted"  # the mesh moved as a whole: what the network made of it agreed less
+    KEPT = "kept"  # the coarse mesh as it came
+
+
 class SilhouetteIou(Output):
     """2D IoU with the given silhouette."""
 
     before: float
     after: float
+
+
+class MirrorPlane(Output):
+    """The object's mirror plane, normal . x = offset."""
+
+    normal: tuple[float, float, float] = Field(description="Unit length, world axes.")
+    offset: float = Field(description="World units.")
+    error: float | None = Field(
+        None,
+        description="Mean distance of the mirrored coarse mesh to itself, in its longest side; unset: the "
+        "plane was given.",
+    )
+
+
+class CameraCorrection(Output):
+    """How the cameras were corrected."""
+
+    turn_degrees: float = Field(description="Angle by which they were turned about the object's centre.")
+
+
+class Judgement(Output):
+    """What a run says of its result, without knowing the truth; a Refinement shows all of it."""
+
+    silhouette_iou: SilhouetteIou
+    outcome: Outcome
+    warnings: list[str] = []
+    mirror_plane: MirrorPlane | None = None
+    camera_correction: CameraCorrection | None = None
 
 
 class Artifact(Output):
@@ -193,6 +275,12 @@ class Refinement(Output):
     silhouette_iou: SilhouetteIou | None = None
     attempt: int = Field(0, description="How often a worker has started it.")
     urls: RefinementUrls | None = None
+    outcome: Outcome | None = None
+    warnings: list[str] = Field([], description="About the input and the result, in words.")
+    mirror_plane: MirrorPlane | None = Field(
+        None, description="The one that was used; unset: none was, or there is no result."
+    )
+    camera_correction: CameraCorrection | None = Field(None, description="With `correct_camera` only.")
 
     @field_validator("options", mode="before")
     @classmethod
@@ -200,8 +288,9 @@ class Refinement(Output):
         if not isinstance(value, dict):
             return value
         known = {k: v for k, v in value.items() if k in RefinementOptions.model_fields}
-        if isinstance(preset := known.get("preset"), str):
-            known["preset"] = of_newer_version(Preset, preset)
+        for name, kind in _KINDS.items():
+            if isinstance(value := known.get(name), str):
+                known[name] = of_newer_version(kind, value)
         return known
 
 

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from refine_engine.errors import OptionsInvalid
 from refine_engine.method.presets import MAX_ITERATIONS, PRESETS, make_config
-from refine_proto.models import Preset, RefinementOptions
-from refine_worker.engine.refinery import config_of
+from refine_engine.request import config_of
+from refine_proto.models import Preset, RefinementOptions, Symmetry, Topology
 
 
 def test_presets_are_the_engines() -> None:
@@ -39,6 +39,19 @@ def test_a_plane_that_nobody_tells_is_found(preset: Preset, symmetry: str) -> No
     assert config_of(RefinementOptions(preset=preset)).symmetry == symmetry
 
 
+@pytest.mark.parametrize("preset", Preset)
+def test_a_choice_counts_more_than_the_preset(preset: Preset) -> None:
+    chosen = config_of(RefinementOptions(preset=preset, symmetry=Symmetry.NONE, topology=Topology.OPEN))
+    assert (chosen.symmetry, chosen.topology) == ("none", "open")
+
+
+def test_cameras_are_corrected_when_asked_for() -> None:
+    for asked in (False, True):
+        fit = config_of(RefinementOptions(correct_camera=asked)).proportions
+        assert fit is not None
+        assert (fit.camera_prior is not None) == asked
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -48,6 +61,9 @@ def test_a_plane_that_nobody_tells_is_found(preset: Preset, symmetry: str) -> No
         {"symmetry_normal": (0.0, 1e-7, 0.0)},
         {"symmetry_normal": (1e-6, 0.0, 0.0)},
         {"symmetry_offset": float("inf")},
+        {"preset": "paper", "correct_camera": True},
+        {"symmetry": "none", "symmetry_normal": (0.0, 0.0, 1.0)},
+        {"symmetry": "auto", "symmetry_offset": 1.0},
     ],
 )
 def test_both_refuse_the_same(options: dict[str, Any]) -> None:

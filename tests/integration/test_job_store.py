@@ -7,6 +7,7 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from judgement import JUDGEMENT
 
 from refine_jobs import keys
 from refine_jobs.edge_store import JobStore
@@ -24,12 +25,11 @@ from refine_proto.errors import (
     QueueFull,
     QuotaExceeded,
 )
-from refine_proto.models import Artifact, Event, Progress, RefinementSpec, SilhouetteIou, State
+from refine_proto.models import Artifact, Event, Progress, RefinementSpec, State
 
 if TYPE_CHECKING:
     from .conftest import HandClock, Jobs
 
-IOU = SilhouetteIou(before=0.5, after=0.9)
 HALF = Progress(iteration=1, total=2, percent=50.0, losses={"total": 1.0})
 
 
@@ -55,9 +55,10 @@ def test_a_job_from_submit_to_success(jobs: Jobs) -> None:
             assert (running.state, running.progress, running.queue_position) == (State.RUNNING, HALF, None)
 
             artifact = Artifact(name="refined.glb", media_type="model/gltf-binary", size_bytes=3, sha256="ab")
-            jobs.worker.finish(job, [artifact], IOU)
+            jobs.worker.finish(job, [artifact], JUDGEMENT)
             done = await store.get("ann", job.id)
-            assert (done.state, done.artifacts, done.silhouette_iou) == (State.SUCCEEDED, [artifact], IOU)
+            assert (done.state, done.artifacts) == (State.SUCCEEDED, [artifact])
+            assert {name: getattr(done, name) for name in type(JUDGEMENT).model_fields} == dict(JUDGEMENT)
             assert done.finished_at
             assert done.started_at
             assert done.created_at <= done.started_at <= done.finished_at < done.expires_at
@@ -85,12 +86,12 @@ def test_a_terminal_state_is_written_once(jobs: Jobs) -> None:
         async with jobs.edge() as store:
             job = jobs.worker.claim((await jobs.submit(store)).refinement.id, "slot-0")
             assert job
-            jobs.worker.finish(job, [], IOU)
+            jobs.worker.finish(job, [], JUDGEMENT)
             before = await store.get("ann", job.id)
             writes: list[tuple[Any, ...]] = [
                 (jobs.worker.fail, job, MeshInvalid("late")),
                 (jobs.worker.cancelled, job),
-                (jobs.worker.finish, job, [], IOU),
+                (jobs.worker.finish, job, [], JUDGEMENT),
                 (jobs.worker.report, job, HALF),
                 (jobs.worker.renew, job),
                 (jobs.worker.give_back, job, "late"),
@@ -196,7 +197,7 @@ def test_a_lost_worker_is_replaced_until_the_last_attempt(jobs: Jobs) -> None:
             assert second
             assert second.attempt == 2
             with pytest.raises(LeaseLost):  # the first worker wakes up
-                jobs.worker.finish(first, [], IOU)
+                jobs.worker.finish(first, [], JUDGEMENT)
             jobs.end_lease(job_id)
             assert reap(jobs.worker, jobs.blobs).taken_back == ((job_id, State.FAILED),)
             failed = await store.get("ann", job_id)
@@ -294,7 +295,7 @@ def test_expiry_leaves_a_tombstone_and_no_bytes(jobs: Jobs, clock: HandClock) ->
             job = jobs.worker.claim((await jobs.submit(store)).refinement.id, "slot-0")
             assert job
             jobs.blobs.put(keys.artifact_blob(job.id, 1, "refined.glb"), b"glb")
-            jobs.worker.finish(job, [], IOU)
+            jobs.worker.finish(job, [], JUDGEMENT)
             clock.move(DAY_S - 1)
             assert reap(jobs.worker, jobs.blobs).expired == ()
             clock.move(1)
@@ -334,7 +335,7 @@ def test_a_job_that_waits_or_runs_does_not_expire(jobs: Jobs, clock: HandClock) 
             again = jobs.worker.claim(job_id, "slot-0")
             assert again
             clock.move(DAY_S)
-            jobs.worker.finish(again, [], IOU)
+            jobs.worker.finish(again, [], JUDGEMENT)
             done = await store.get("ann", job_id)
             assert done.finished_at
             assert (done.expires_at - done.finished_at).total_seconds() == DAY_S

@@ -19,6 +19,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 from job_model import ENDED, HELD, JobModel, ModelJob
+from judgement import JUDGEMENT
 from redis import Redis
 
 from refine_jobs import keys
@@ -29,7 +30,7 @@ from refine_jobs.redis_server import connect_async
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import LeaseLost, WorkerStore
 from refine_proto.errors import Conflict, IdempotencyKeyReused, MeshInvalid
-from refine_proto.models import Event, Progress, RefinementSpec, SilhouetteIou, State
+from refine_proto.models import Event, Progress, RefinementSpec, State
 
 if TYPE_CHECKING:
     from .conftest import HandClock
@@ -38,7 +39,6 @@ T = TypeVar("T")
 SPEC = RefinementSpec.model_validate(
     {"camera": {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 10, "distance": 1.9}}
 )
-IOU = SilhouetteIou(before=0.5, after=0.9)
 HALF = Progress(iteration=1, total=2, percent=50.0)
 SMALL = JobSettings(lease_s=15, retention_s=100, max_attempts=2, max_queued=3, max_queued_per_owner=2)
 RQ_QUEUE = "rq:queue:refine-default"
@@ -193,7 +193,7 @@ class JobStoreMachine(RuleBasedStateMachine):
     def finish(self, pick: int, state: State) -> None:
         claim, job = self.a_claim(pick)
         write = {
-            State.SUCCEEDED: partial(self.worker.finish, claim, [], IOU),
+            State.SUCCEEDED: partial(self.worker.finish, claim, [], JUDGEMENT),
             State.FAILED: partial(self.worker.fail, claim, MeshInvalid("expected triangles, got none")),
             State.CANCELLED: partial(self.worker.cancelled, claim),
         }[state]

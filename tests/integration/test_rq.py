@@ -8,6 +8,7 @@ import types
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from judgement import JUDGEMENT
 from redis import Redis
 from rq import Queue
 from rq.job import Job as RqJob
@@ -17,12 +18,10 @@ from rq.worker import SimpleWorker
 from refine_jobs import keys
 from refine_jobs.delivery import TASK, Delivery, delivery_id, worker_queue
 from refine_jobs.reaper import reap
-from refine_proto.models import SilhouetteIou, State
+from refine_proto.models import State
 
 if TYPE_CHECKING:
     from .conftest import Jobs
-
-IOU = SilhouetteIou(before=0.5, after=0.9)
 
 
 @pytest.fixture
@@ -132,7 +131,7 @@ def test_rqs_failure_does_not_touch_the_record(
     def crash_after_success(given: str) -> None:
         job = jobs.worker.claim(given, "slot-0")
         assert job
-        jobs.worker.finish(job, [], IOU)
+        jobs.worker.finish(job, [], JUDGEMENT)
         raise RuntimeError("after the end")
 
     module_name, _, function = TASK.rpartition(".")

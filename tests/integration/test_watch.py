@@ -7,16 +7,15 @@ from collections.abc import Coroutine
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from judgement import JUDGEMENT
 
 from refine_jobs import keys
 from refine_jobs.edge_store import JobStore
 from refine_jobs.scripts import Scripts
-from refine_proto.models import Event, EventType, Progress, SilhouetteIou, State
+from refine_proto.models import Event, EventType, Progress, State
 
 if TYPE_CHECKING:
     from .conftest import Jobs
-
-IOU = SilhouetteIou(before=0.5, after=0.9)
 
 
 def progress(iteration: int) -> Progress:
@@ -48,7 +47,7 @@ def finish(jobs: Jobs, job_id: str) -> None:
     job = jobs.worker.claim(job_id, "slot-0")
     assert job
     jobs.worker.report(job, progress(1))
-    jobs.worker.finish(job, [], IOU)
+    jobs.worker.finish(job, [], JUDGEMENT)
 
 
 def test_replay_from_a_sequence(jobs: Jobs) -> None:
@@ -58,7 +57,7 @@ def test_replay_from_a_sequence(jobs: Jobs) -> None:
             assert job
             for i in (1, 2):
                 jobs.worker.report(job, progress(i))
-            jobs.worker.finish(job, [], IOU)
+            jobs.worker.finish(job, [], JUDGEMENT)
             events = await watched(store, job.id)
             assert [(e.sequence, e.type.value, e.state.value) for e in events] == [
                 (1, "state", "queued"),
@@ -247,7 +246,7 @@ def test_a_record_that_cannot_be_read_ends_its_watch_only(jobs: Jobs) -> None:
             job = jobs.worker.claim(strange, "slot-0")
             assert job
             jobs.redis.hset(keys.JOB + strange, "progress", "{}")
-            jobs.worker.finish(job, [], IOU)
+            jobs.worker.finish(job, [], JUDGEMENT)
             finish(jobs, other)
             last = [event async for event in steps][-1]
             assert (last.type, last.state, last.refinement) == (EventType.COMPLETED, State.SUCCEEDED, None)
@@ -307,7 +306,7 @@ def test_the_stream_is_bounded(jobs: Jobs) -> None:
             assert job
             for i in range(keys.EVENTS_KEPT):
                 jobs.worker.report(job, progress(i))
-            jobs.worker.finish(job, [], IOU)
+            jobs.worker.finish(job, [], JUDGEMENT)
             events = await watched(store, job.id)
             assert len(events) == keys.EVENTS_KEPT
             assert events[-1].type is EventType.COMPLETED

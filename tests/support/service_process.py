@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from judgement import JUDGEMENT
 from redis import Redis
 
 from refine_client import RefineClient, RetryPolicy
@@ -27,11 +28,10 @@ from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState, SlotStatus
 from refine_jobs.worker_store import WorkerStore
 from refine_proto.formats import ARTIFACTS
-from refine_proto.models import Artifact, Progress, SilhouetteIou
+from refine_proto.models import Artifact, Progress
 
 MESH = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 CAMERA = {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 10, "distance": 2}
-IOU = SilhouetteIou(before=0.5, after=0.9)
 
 
 def png(width: int = 8, height: int = 8) -> bytes:
@@ -149,7 +149,7 @@ class Hand:
         ]
         for name, data in contents.items():
             self.blobs.put(keys.artifact_blob(job.id, job.attempt, name), data)
-        self.store.finish(job, artifacts, IOU)
+        self.store.finish(job, artifacts, JUDGEMENT)
         return artifacts
 
     def run(self, refinement_id: str, contents: Mapping[str, bytes]) -> Job:

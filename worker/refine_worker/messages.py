@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from refine_proto.models import Artifact, Progress, SilhouetteIou
+from refine_proto.models import Artifact, Judgement, Progress
 
 MAX_BYTES = 2**20  # of one message; files go through the blob store
 
@@ -73,7 +73,7 @@ class Done(_Message):
 
     type: Literal["done"] = "done"
     artifacts: tuple[Artifact, ...]
-    silhouette_iou: SilhouetteIou
+    judgement: Judgement
 
 
 class Failed(_Message):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from refine_proto.commands.ending import Parser
@@ -118,16 +118,24 @@ def _show(refinement: Refinement, as_json: bool) -> None:
         print(refinement.model_dump_json(exclude_none=True))
         return
     iou, progress, error = refinement.silhouette_iou, refinement.progress, refinement.error
-    ahead = refinement.queue_position
+    ahead, plane, turn = refinement.queue_position, refinement.mirror_plane, refinement.camera_correction
     rows = {
         "id": refinement.id,
         "state": str(refinement.state) + (f", {ahead} ahead" if ahead is not None else ""),
         "error": error and f"{error.reason}: {error.detail}",
         "progress": progress and f"{progress.iteration}/{progress.total} ({progress.percent:.0f} %)",
         "2D IoU": iou and f"{iou.before:.3f} -> {iou.after:.3f}",
+        "outcome": refinement.outcome,
+        "mirror": plane and f"{_numbers(plane.normal)} . x = {plane.offset:.4g}",
+        "camera": turn and f"turned by {turn.turn_degrees:.1f} degrees",
+        "warnings": "\n           ".join(refinement.warnings),
         "created": refinement.created_at.isoformat(timespec="seconds"),
         "finished": refinement.finished_at and refinement.finished_at.isoformat(timespec="seconds"),
         "expires": refinement.expires_at.isoformat(timespec="seconds"),
         "artifacts": ", ".join(artifact.name for artifact in refinement.artifacts),
     }
     print("\n".join(f"{name:<10} {value}" for name, value in rows.items() if value))
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in values) + ")"

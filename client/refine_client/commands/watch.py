@@ -44,6 +44,9 @@ def see_through(client: RefineClient, refinement: Refinement, as_json: bool, out
             refinement = event.refinement or refinement
     if error := error_of(refinement):
         raise error
+    if not as_json:  # the last event has them
+        for warning in refinement.warnings:
+            display.warn(warning)
     display.finish(refinement)
     if output is not None:
         display.written(client.download(refinement.id, output))

@@ -19,7 +19,7 @@ from ..files.mesh_file import MeshFile
 from ..kernels import interpolate, rasterize
 from ..method.config import RefineConfig
 from ..method.views import Frame, SymmetryViews
-from ..request import Inputs
+from ..request import Inputs, judgement_of
 from ..values import Mesh, Result
 from .pictures import draw_confidence, draw_preview
 
@@ -93,16 +93,8 @@ def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> di
     """report.json as an object."""
     device = result.mesh.vertices.device
     return {
-        "silhouette_iou": {"before": result.silhouette_iou_before, "after": result.silhouette_iou_after},
+        **judgement_of(result).model_dump(mode="json"),
         "best_iteration": result.best_iteration,
-        "outcome": result.outcome,
-        "symmetry": result.plane
-        and {
-            "normal": result.plane.normal.tolist(),
-            "offset": result.plane.offset,
-            "error": result.plane.error,
-        },
-        "camera_turn_degrees": result.camera_turn_degrees,
         "mesh": {
             "vertices": len(mesh_file.mesh.vertices),
             "faces": len(mesh_file.mesh.faces),
@@ -118,7 +110,6 @@ def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> di
         "device": torch.cuda.get_device_name(device)
         if device.type == "cuda"
         else f"cpu ({platform.machine()})",
-        "warnings": list(result.warnings),
         "config": asdict(config),
         "versions": {"python": platform.python_version(), **_versions()},
         "loss_curve": {name: [float(x) for x in curve] for name, curve in result.loss_curve.items()},

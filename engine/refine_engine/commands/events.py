@@ -15,12 +15,12 @@ from refine_proto.models import (
     EventType,
     Refinement,
     RefinementOptions,
-    SilhouetteIou,
     State,
 )
 from refine_proto.progress import ProgressMeter
 
 from .. import values
+from ..request import judgement_of
 
 NEVER = datetime(9999, 12, 31, 23, 59, 59, tzinfo=UTC)  # as certificates say it (RFC 5280)
 INTERVAL_S = 0.5  # between two events of progress, as from a server
@@ -55,7 +55,6 @@ class RunEvents:
 
     def succeeded(self, result: values.Result, artifacts: Mapping[str, bytes]) -> Refinement:
         """The end: these files were made."""
-        iou = SilhouetteIou(before=result.silhouette_iou_before, after=result.silhouette_iou_after)
         described = [
             Artifact(
                 name=name,
@@ -65,7 +64,7 @@ class RunEvents:
             )
             for name, data in artifacts.items()
         ]
-        return self._end(state=State.SUCCEEDED, silhouette_iou=iou, artifacts=described)
+        return self._end(state=State.SUCCEEDED, artifacts=described, **dict(judgement_of(result)))
 
     def failed(self, error: RefineError) -> None:
         """The end: there is no result."""

@@ -23,8 +23,7 @@ from ..cameras.spec import read_camera
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
-from ..method.presets import make_config
-from ..request import Inputs, read_inputs
+from ..request import Inputs, config_of, read_inputs
 from .events import RunEvents
 
 
@@ -78,9 +77,7 @@ def run_parser() -> Parser:
 
 def _run(arguments: argparse.Namespace) -> None:
     options = read_options(arguments)
-    config = make_config(
-        options.preset, options.iterations, options.seed, options.symmetry_normal, options.symmetry_offset
-    )
+    config = config_of(options)
     device = _device(arguments.device)
     if arguments.threads < 1:
         raise OptionsInvalid(f"expected at least one thread, got {arguments.threads}")

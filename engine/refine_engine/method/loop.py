@@ -63,7 +63,7 @@ def refine(
         state = keep(compact, views, config, iou_before, report)
     else:
         state = _optimise(compact, views, config, iou_before, report, cancelled)
-    there = state.there if config.topology == "open" else torch.ones_like(state.there)
+    there = state.there if config.topology != "fixed" else torch.ones_like(state.there)
     vertices = mesh.vertices.index_copy(0, used, state.mesh.vertices)
     return Result(
         mesh=Mesh(vertices, mesh.faces[there]),

@@ -29,7 +29,7 @@ class State:
     there: Tensor  # (F,) bool: faces that are not webs
     plane: MirrorPlane | None
     confidence: Tensor  # (V,)
-    camera_turn_degrees: float = 0.0
+    camera_turn_degrees: float | None = None
     best_iteration: int = 0
     loss_curve: Mapping[str, Sequence[float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
@@ -43,7 +43,7 @@ class State:
 
     def silhouette_iou(self, views: Sequence[View], config: RefineConfig) -> float:
         """2D IoU of what would be handed back."""
-        faces = self.mesh.faces[self.there] if config.topology == "open" else self.mesh.faces
+        faces = self.mesh.faces[self.there] if config.topology != "fixed" else self.mesh.faces
         return mean_silhouette_iou(Mesh(self.mesh.vertices, faces), views)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from ..errors import OptionsInvalid
-from .config import RefineConfig, Stage
+from .config import RefineConfig, Stage, Symmetry, Topology
 
 PRESETS: Mapping[str, Callable[[], RefineConfig]] = {
     "paper": RefineConfig.paper,
@@ -15,14 +15,18 @@ PRESETS: Mapping[str, Callable[[], RefineConfig]] = {
     "fast": RefineConfig.fast,
 }
 MAX_ITERATIONS = 10_000
+CAMERA_PRIOR = 1.0  # suits a few degrees of error, see ProportionFit
 
 
 def make_config(
     preset: str = "default",
     iterations: int | None = None,
     seed: int = 0,
+    symmetry: Symmetry | None = None,
     symmetry_normal: tuple[float, float, float] | None = None,
     symmetry_offset: float | None = None,
+    topology: Topology | None = None,
+    correct_camera: bool = False,
 ) -> RefineConfig:
     """The preset with the given choices; None leaves the preset's. A plane that is given is not searched for.
 
@@ -32,11 +36,21 @@ def make_config(
         raise OptionsInvalid(f"expected preset to be one of {', '.join(PRESETS)}, got {preset!r:.60}")
     config = replace(PRESETS[preset](), seed=seed)
     if symmetry_normal is not None or symmetry_offset is not None:
-        config = replace(config, symmetry="plane")
+        if symmetry not in (None, "plane"):
+            raise OptionsInvalid(f"expected no plane with symmetry {symmetry}, got one; leave symmetry out")
+        symmetry = "plane"
+    if symmetry is not None:
+        config = replace(config, symmetry=symmetry)
     if symmetry_normal is not None:
         config = replace(config, symmetry_normal=symmetry_normal)
     if symmetry_offset is not None:
         config = replace(config, symmetry_offset=symmetry_offset)
+    if topology is not None:
+        config = replace(config, topology=topology)
+    if correct_camera:
+        if config.proportions is None:
+            raise OptionsInvalid(f"expected no correct_camera with preset {preset}, whose cameras are exact")
+        config = replace(config, proportions=replace(config.proportions, camera_prior=CAMERA_PRIOR))
     if iterations is not None:
         config = replace(config, stages=shorten(config.stages, iterations))
     return config

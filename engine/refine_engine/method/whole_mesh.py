@@ -29,7 +29,7 @@ class WholeMesh:
     there: Tensor  # (F,) bool: faces that are not webs
     views: tuple[View, ...]  # with their cameras as they are taken to be
     plane: MirrorPlane | None
-    camera_turn_degrees: float
+    camera_turn_degrees: float | None  # None: the cameras are taken to be exact
 
 
 def fit_whole_mesh(
@@ -43,7 +43,7 @@ def fit_whole_mesh(
     everything = torch.ones_like(mesh.faces[:, 0], dtype=torch.bool)
     proportions = config.proportions
     if proportions is None:
-        return WholeMesh(mesh, everything, tuple(views), plane, 0.0)
+        return WholeMesh(mesh, everything, tuple(views), plane, None)
     frame = Frame.of(mesh, plane)
     regions = [Region.around(view, mesh) for view in views]
     target = Target.of(views, regions, frame, proportions.render_size)
@@ -65,7 +65,7 @@ def fit_whole_mesh(
         there=~outside,
         views=tuple(_turn(view, fitted.turn, frame) for view in views),
         plane=plane and plane.moved_to(plane.offset + fitted.shift * frame.scale),
-        camera_turn_degrees=float(torch.rad2deg(fitted.turn.norm())),
+        camera_turn_degrees=None if proportions.camera_prior is None else float(fitted.turn.norm().rad2deg()),
     )
 
 

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from ..models import Event, Progress, Refinement, State
+from ..models import Event, Outcome, Progress, Refinement, State
 
 LINE_INTERVAL_S = 5.0
 
@@ -51,8 +51,9 @@ class Display(AbstractContextManager["Display"]):
         """It has succeeded."""
         iou, started, finished = refinement.silhouette_iou, refinement.started_at, refinement.finished_at
         gained = f", 2D IoU {iou.before:.3f} -> {iou.after:.3f}" if iou else ""
+        kept = f" ({refinement.outcome})" if refinement.outcome not in (None, Outcome.REFINED) else ""
         took = f" in {(finished - started).total_seconds():.1f} s" if started and finished else ""
-        print(f"{refinement.id} {refinement.state}{gained}{took}")
+        print(f"{refinement.id} {refinement.state}{kept}{gained}{took}")
 
     def written(self, files: Mapping[str, Path]) -> None:
         """Its artifacts are on disk."""

@@ -7,7 +7,7 @@ import argparse
 from pydantic import ValidationError
 
 from ..errors import from_validation
-from ..models import Preset, RefinementOptions
+from ..models import Preset, RefinementOptions, Symmetry, Topology
 
 
 def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
@@ -19,13 +19,24 @@ def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     group.add_argument("--iterations", type=int, metavar="N", help="optimisation steps (the preset's)")
     group.add_argument("--seed", type=int, metavar="N", help="of the network's weights (0)")
     group.add_argument(
+        "--symmetry", choices=list(Symmetry), metavar="WHICH",
+        help="mirror plane: auto, from the coarse mesh; plane, as given; none (auto, without a given plane)",
+    )  # fmt: skip
+    group.add_argument(
         "--symmetry-normal", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="of the mirror plane, world axes (found on the coarse mesh)",
+        help="of the mirror plane, world axes",
     )  # fmt: skip
     group.add_argument(
         "--symmetry-offset", type=float, metavar="D",
         help="of the mirror plane along its normal, world units (the coarse mesh decides)",
     )  # fmt: skip
+    group.add_argument(
+        "--topology", choices=list(Topology), metavar="WHICH",
+        help="open: faces over the silhouette's background go; fixed: none do (open, with a texture fixed)",
+    )  # fmt: skip
+    group.add_argument(
+        "--correct-camera", action="store_true", default=None, help="the camera is a few degrees off"
+    )
     group.add_argument(
         "--silhouette-threshold", type=float, metavar="T",
         help=f"share of full scale above which is object ({_default('silhouette_threshold')})",

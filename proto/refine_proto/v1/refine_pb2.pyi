@@ -12,7 +12,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RefinementOptions(_message.Message):
-    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s")
+    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s", "symmetry", "topology", "correct_camera")
     class Preset(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PRESET_UNSPECIFIED: _ClassVar[RefinementOptions.Preset]
@@ -23,6 +23,24 @@ class RefinementOptions(_message.Message):
     PAPER: RefinementOptions.Preset
     DEFAULT: RefinementOptions.Preset
     FAST: RefinementOptions.Preset
+    class Symmetry(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        SYMMETRY_UNSPECIFIED: _ClassVar[RefinementOptions.Symmetry]
+        AUTO: _ClassVar[RefinementOptions.Symmetry]
+        PLANE: _ClassVar[RefinementOptions.Symmetry]
+        NONE: _ClassVar[RefinementOptions.Symmetry]
+    SYMMETRY_UNSPECIFIED: RefinementOptions.Symmetry
+    AUTO: RefinementOptions.Symmetry
+    PLANE: RefinementOptions.Symmetry
+    NONE: RefinementOptions.Symmetry
+    class Topology(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        TOPOLOGY_UNSPECIFIED: _ClassVar[RefinementOptions.Topology]
+        OPEN: _ClassVar[RefinementOptions.Topology]
+        FIXED: _ClassVar[RefinementOptions.Topology]
+    TOPOLOGY_UNSPECIFIED: RefinementOptions.Topology
+    OPEN: RefinementOptions.Topology
+    FIXED: RefinementOptions.Topology
     PRESET_FIELD_NUMBER: _ClassVar[int]
     ITERATIONS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
@@ -30,6 +48,9 @@ class RefinementOptions(_message.Message):
     SYMMETRY_OFFSET_FIELD_NUMBER: _ClassVar[int]
     SILHOUETTE_THRESHOLD_FIELD_NUMBER: _ClassVar[int]
     TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
+    SYMMETRY_FIELD_NUMBER: _ClassVar[int]
+    TOPOLOGY_FIELD_NUMBER: _ClassVar[int]
+    CORRECT_CAMERA_FIELD_NUMBER: _ClassVar[int]
     preset: RefinementOptions.Preset
     iterations: int
     seed: int
@@ -37,7 +58,10 @@ class RefinementOptions(_message.Message):
     symmetry_offset: float
     silhouette_threshold: float
     timeout_s: float
-    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ...) -> None: ...
+    symmetry: RefinementOptions.Symmetry
+    topology: RefinementOptions.Topology
+    correct_camera: bool
+    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., symmetry: _Optional[_Union[RefinementOptions.Symmetry, str]] = ..., topology: _Optional[_Union[RefinementOptions.Topology, str]] = ..., correct_camera: bool = ...) -> None: ...
 
 class CameraSpec(_message.Message):
     __slots__ = ("look_at", "matrix")
@@ -136,7 +160,7 @@ class RefinementSpec(_message.Message):
     def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., mesh_format: _Optional[_Union[RefinementSpec.MeshFormat, str]] = ...) -> None: ...
 
 class Refinement(_message.Message):
-    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls")
+    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Refinement.State]
@@ -155,6 +179,16 @@ class Refinement(_message.Message):
     FAILED: Refinement.State
     CANCELLED: Refinement.State
     EXPIRED: Refinement.State
+    class Outcome(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        OUTCOME_UNSPECIFIED: _ClassVar[Refinement.Outcome]
+        REFINED: _ClassVar[Refinement.Outcome]
+        FITTED: _ClassVar[Refinement.Outcome]
+        KEPT: _ClassVar[Refinement.Outcome]
+    OUTCOME_UNSPECIFIED: Refinement.Outcome
+    REFINED: Refinement.Outcome
+    FITTED: Refinement.Outcome
+    KEPT: Refinement.Outcome
     ID_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
@@ -169,6 +203,10 @@ class Refinement(_message.Message):
     SILHOUETTE_IOU_FIELD_NUMBER: _ClassVar[int]
     ATTEMPT_FIELD_NUMBER: _ClassVar[int]
     URLS_FIELD_NUMBER: _ClassVar[int]
+    OUTCOME_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    MIRROR_PLANE_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_CORRECTION_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: Refinement.State
     options: RefinementOptions
@@ -183,7 +221,11 @@ class Refinement(_message.Message):
     silhouette_iou: SilhouetteIou
     attempt: int
     urls: RefinementUrls
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ...) -> None: ...
+    outcome: Refinement.Outcome
+    warnings: _containers.RepeatedScalarFieldContainer[str]
+    mirror_plane: MirrorPlane
+    camera_correction: CameraCorrection
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ...) -> None: ...
 
 class Progress(_message.Message):
     __slots__ = ("iteration", "total", "percent", "eta_s", "losses", "silhouette_iou")
@@ -215,6 +257,22 @@ class SilhouetteIou(_message.Message):
     before: float
     after: float
     def __init__(self, before: _Optional[float] = ..., after: _Optional[float] = ...) -> None: ...
+
+class MirrorPlane(_message.Message):
+    __slots__ = ("normal", "offset", "error")
+    NORMAL_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    normal: _containers.RepeatedScalarFieldContainer[float]
+    offset: float
+    error: float
+    def __init__(self, normal: _Optional[_Iterable[float]] = ..., offset: _Optional[float] = ..., error: _Optional[float] = ...) -> None: ...
+
+class CameraCorrection(_message.Message):
+    __slots__ = ("turn_degrees",)
+    TURN_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    turn_degrees: float
+    def __init__(self, turn_degrees: _Optional[float] = ...) -> None: ...
 
 class Artifact(_message.Message):
     __slots__ = ("name", "media_type", "size_bytes", "sha256", "url")

@@ -52,6 +52,8 @@ _REFINEMENT = {
     "finished_at": "2026-01-01T12:00:31Z",
     "expires_at": "2026-01-02T12:00:31Z",
     "silhouette_iou": {"before": 0.71, "after": 0.93},
+    "outcome": "refined",
+    "mirror_plane": {"normal": [0.0, 0.0, 1.0], "offset": 0.0, "error": 0.012},
     "attempt": 1,
     "urls": {
         "refinement": "/v1/refinements/0f8fad5bd9cb469fa165708677289503",

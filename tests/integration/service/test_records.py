@@ -5,7 +5,8 @@ from __future__ import annotations
 import grpc
 import httpx
 import pytest
-from service_process import CAMERA, IOU, MESH, PNG, Hand, Service
+from judgement import JUDGEMENT
+from service_process import CAMERA, MESH, PNG, Hand, Service
 
 from refine_client import RefineClient
 from refine_jobs import keys
@@ -47,7 +48,7 @@ def test_both_transports_show_the_same_record(
     assert shown.urls
     assert shown.urls.refinement == f"/v1/refinements/{refinement_id}"
     if end == "succeeded":
-        assert shown.silhouette_iou == IOU
+        assert {name: getattr(shown, name) for name in type(JUDGEMENT).model_fields} == dict(JUDGEMENT)
         assert shown.artifacts[0].url == f"/v1/refinements/{refinement_id}/artifacts/refined.glb"
     if end == "failed":
         assert shown.error

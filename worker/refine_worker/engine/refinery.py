@@ -12,14 +12,12 @@ from pathlib import Path
 import torch
 
 from refine_engine.artifacts.make import make_artifacts
-from refine_engine.method.config import RefineConfig
-from refine_engine.method.presets import make_config
-from refine_engine.request import Inputs, read_inputs
+from refine_engine.request import Inputs, config_of, judgement_of, read_inputs
 from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_proto.formats import ARTIFACTS
-from refine_proto.models import Artifact, RefinementOptions, RefinementSpec, SilhouetteIou
+from refine_proto.models import Artifact, RefinementSpec
 from refine_proto.progress import ProgressMeter
 
 from ..messages import Done, FromEngine, Phase, PhaseStarted, Progressed, Run
@@ -47,12 +45,7 @@ class Refinery:
             result = inputs.refine(config, self._device, Reporter(tell), cancelled)
             tell(PhaseStarted(phase=Phase.STORE))
             artifacts = make_artifacts(inputs, result, config)
-        return Done(
-            artifacts=self._store(run, artifacts),
-            silhouette_iou=SilhouetteIou(
-                before=result.silhouette_iou_before, after=result.silhouette_iou_after
-            ),
-        )
+        return Done(artifacts=self._store(run, artifacts), judgement=judgement_of(result))
 
     def clear(self) -> None:
         """Give back what a job that has ended, in whatever way, held on the device: other slots want it.
@@ -86,13 +79,6 @@ class Refinery:
             )
             for name, media_type in ARTIFACTS.items()
         )
-
-
-def config_of(options: RefinementOptions) -> RefineConfig:
-    """The engine's configuration for the options of a job."""
-    return make_config(
-        options.preset, options.iterations, options.seed, options.symmetry_normal, options.symmetry_offset
-    )
 
 
 class Reporter:

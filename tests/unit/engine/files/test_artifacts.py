@@ -45,7 +45,7 @@ def artifacts(textured: bytes) -> dict[str, Any]:
         silhouette_iou_after=0.8,
         outcome="refined",
         plane=MirrorPlane(torch.tensor([0.0, 0.0, 1.0]), 0.25, 0.01),
-        camera_turn_degrees=0.0,
+        camera_turn_degrees=1.5,
         seconds=1.5,
         warnings=("slow",),
     )
@@ -113,8 +113,8 @@ def test_report_json_says_what_was_done(artifacts: dict[str, Any]) -> None:
     assert report["config"]["weights"]["silhouette"] == RefineConfig().weights.silhouette
     assert report["mesh"] == {"vertices": 8, "faces": 12, "removed_faces": 0, "source_vertices": 24}
     assert report["outcome"] == "refined"
-    assert report["symmetry"] == {"normal": [0.0, 0.0, 1.0], "offset": 0.25, "error": pytest.approx(0.01)}
-    assert report["camera_turn_degrees"] == 0.0
+    assert report["mirror_plane"] == {"normal": [0.0, 0.0, 1.0], "offset": 0.25, "error": pytest.approx(0.01)}
+    assert report["camera_correction"] == {"turn_degrees": 1.5}
     assert report["loss_curve"] == {"total": [2.0, 1.0]}
     assert report["warnings"] == ["slow"]
     assert torch.__version__.startswith(report["versions"]["torch"])  # it may end in +cu130 or +cpu
