@@ -34,7 +34,7 @@ svg { display: block; margin-top: .5rem } .note { color: #666 }
 LEGEND = (
     "Above as the input camera sees it, below from a quarter turn around the object. Under the input: its "
     "silhouette against the refined mesh, grey where they agree, blue what the mesh misses, orange what it "
-    "has too much. Confidence of symmetry: red low, green high."
+    "has too much. Confidence of symmetry: dark low, bright high."
 )
 
 

@@ -21,7 +21,7 @@ from ..method.config import RefineConfig
 from ..method.views import Frame, SymmetryViews
 from ..request import Inputs, judgement_of
 from ..values import Mesh, Result
-from .pictures import draw_confidence, draw_preview
+from .pictures import draw_confidence, draw_preview, drawn_camera, drawn_silhouette
 
 _VERSIONED = ("refine-mesh", "torch", "numpy", "scipy", "numba", "trimesh", "pillow")
 
@@ -30,16 +30,17 @@ def make_artifacts(inputs: Inputs, result: Result, config: RefineConfig) -> dict
     """All artifacts of one refinement: `result` is that of `inputs` under `config`.
 
     refined.glb       the input file with moved vertices and `_SYMMETRY_CONFIDENCE`
-    confidence.glb    the welded mesh coloured by confidence, red low, green high
+    confidence.glb    the welded mesh in the colours of its confidence, see files/colour_scale.py
     confidence.png    the confidence as the first input camera sees it
-    confidence.npz    the confidence per vertex and as maps of all symmetry views, see `confidence_arrays`
+    confidence.npz    the confidence per vertex and as maps of all symmetry views, see `confidence_arrays`,
+                      and what was refined, see `input_arrays`
     preview.png       before and after from that camera, for people
     report.json       2D IoU, loss curve, effective configuration, seconds, device, versions, warnings
     """
     mesh_file, view = inputs.mesh_file, inputs.views[0]
     vertices, confidence = result.mesh.vertices, result.confidence
     arrays = io.BytesIO()
-    np.savez_compressed(arrays, **confidence_arrays(mesh_file, result, config))
+    np.savez_compressed(arrays, **confidence_arrays(mesh_file, result, config), **input_arrays(inputs))
     report = json.dumps(make_report(mesh_file, result, config), indent=2, allow_nan=False)
     return {
         ArtifactName.REFINED: mesh_file.with_vertices(vertices, confidence, result.kept_faces),
@@ -87,6 +88,26 @@ def confidence_arrays(mesh_file: MeshFile, result: Result, config: RefineConfig)
         "scale": torch.tensor(frame.scale),
     }
     return {name: tensor.numpy() for name, tensor in arrays.items()}
+
+
+def input_arrays(inputs: Inputs) -> dict[str, Any]:
+    """The arrays of confidence.npz that show what was refined beside the result.
+
+    coarse_vertices (V, 3)   the welded coarse mesh, world units; row by row the same vertices as `vertices`
+    coarse_faces (F, 3)      its faces, of which `faces` are those that were kept
+    silhouette (H, W)        of the first view, 1 object, 0 background; at most 1024 pixels a side
+    silhouette_camera (4, 4), silhouette_intrinsics (4,), silhouette_orthographic ()
+                             who saw it: world_to_camera (OpenCV axes), and fx, fy, cx, cy in its pixels
+    """
+    mesh, camera = inputs.mesh_file.mesh, drawn_camera(inputs.views[0])
+    return {
+        "coarse_vertices": mesh.vertices.cpu().numpy(),
+        "coarse_faces": mesh.faces.cpu().numpy(),
+        "silhouette": drawn_silhouette(inputs.views[0]).astype(np.uint8),
+        "silhouette_camera": camera.world_to_camera.cpu().numpy(),
+        "silhouette_intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
+        "silhouette_orthographic": np.uint8(camera.projection == "orthographic"),
+    }
 
 
 def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from ..cameras.seen import seen_by
-from ..files.mesh_file import confidence_colours
+from ..files.colour_scale import confidence_colours
 from ..kernels import Fragments, interpolate
 from ..values import Camera, Mesh, View
 
@@ -50,7 +50,7 @@ def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor
             ("contours: input, before, after", _contours(mask, contours)),
         ],
         [
-            ("symmetry confidence, 0 red, 1 green", on_paper(sigma)),
+            ("symmetry confidence, dark 0, bright 1", on_paper(sigma)),
             ("before, from the side", shade(before, side, aside[0])),
             ("after, from the side", shade(after, side, aside[1])),
             ("contours from the side: before, after", _contours(covered[2], from_side)),
@@ -62,11 +62,21 @@ def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor
 def draw_confidence(view: View, mesh: Mesh, confidence: torch.Tensor) -> bytes:
     """confidence.png: the confidence on the refined mesh as the input camera sees it, pixel by pixel over the
     input image (scaled down to 1024 pixels if it is larger), background transparent, with a legend below."""
-    camera = view.camera
-    if max(camera.width, camera.height) > _MAX_SIDE:
-        camera = _fit(camera, _MAX_SIDE)
+    camera = drawn_camera(view)
     picture = confidence_picture(hard_render(mesh, camera), mesh, confidence)
     return encode(np.concatenate([picture, _legend(camera.width)]))
+
+
+def drawn_camera(view: View) -> Camera:
+    """The camera of a view, its image scaled down to 1024 pixels if it is larger."""
+    camera = view.camera
+    return _fit(camera, _MAX_SIDE) if max(camera.width, camera.height) > _MAX_SIDE else camera
+
+
+def drawn_silhouette(view: View) -> NDArray[np.bool_]:
+    """The silhouette (H, W) at the size of `drawn_camera`."""
+    camera = drawn_camera(view)
+    return _resize(view.silhouette.cpu().numpy(), camera.width, camera.height)
 
 
 def hard_render(mesh: Mesh, camera: Camera) -> Fragments:
@@ -211,13 +221,12 @@ def _write_caption(
 
 
 def _legend(width: int) -> Picture:
-    """RGBA strip: the colours from 0 to 1 with their ends labelled."""
+    """RGBA strip: the colours from 0 to 1, and what the ends mean."""
     strip = np.full((40, width, 4), 255, np.uint8)
     strip[6:18, 8 : max(width - 8, 9), :3] = _bytes(confidence_colours(np.linspace(0, 1, max(width - 16, 1))))
     image = Image.fromarray(strip, "RGBA")
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(12)
-    draw.text((8, 21), "0", fill="black", font=font)
-    draw.text((width - 8, 21), "1", fill="black", font=font, anchor="ra")
-    if width > 160:
-        draw.text((width / 2, 21), "symmetry confidence", fill="black", font=font, anchor="ma")
+    low, high = ("0: no mirror image", "1: mirrored") if width >= 200 else ("0", "1")
+    draw.text((8, 21), low, fill="black", font=font)
+    draw.text((width - 8, 21), high, fill="black", font=font, anchor="ra")
     return np.asarray(image)

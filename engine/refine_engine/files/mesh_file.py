@@ -20,14 +20,16 @@ from refine_proto.formats import MeshFormat, recognise_mesh
 from ..errors import MeshInvalid
 from ..values import Mesh
 from . import gltf
+from .colour_scale import confidence_colours, linear_light
 from .gltf_edit import CONFIDENCE, keep_triangles, move_vertices, overwritable_accessors
 from .gltf_geometry import SceneGeometry, read_scene, triangle_primitives
 from .limits import MeshLimits, one_line, refused_as
 from .polygons import mesh_document, read_polygons
 from .weld import Floats, Ints, Weld, smooth_groups, vertex_normals, weld
 
-__all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "confidence_colours", "read_mesh"]
+__all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "read_mesh"]
 DEFAULT_LIMITS = MeshLimits()
+UNLIT = "KHR_materials_unlit"
 
 
 @dataclass(frozen=True)
@@ -100,13 +102,16 @@ class MeshFile:
         return ~np.isin(_row_number(in_file, width), _row_number(removed, width))
 
     def confidence_glb(self, vertices: Tensor, confidence: Tensor, faces: Tensor | None = None) -> bytes:
-        """The welded mesh, or these of its faces, coloured from red (0) to green (confidence 1)."""
+        """The welded mesh, or these of its faces, in the colours of `colour_scale`.
+
+        Unlit, so that a viewer shows these colours and not what its lights make of them.
+        """
         self._check(vertices, confidence)
         points = vertices.detach().cpu().double().numpy()
         shown = (self.mesh.faces if faces is None else faces).cpu().numpy()
         none = np.zeros_like(points)
         normals = vertex_normals(points, points, shown, np.arange(len(points)), none)
-        rgb = confidence_colours(confidence.detach().cpu().double().numpy())
+        rgb = linear_light(confidence_colours(confidence.detach().cpu().double().numpy()))
         part = {
             "POSITION": points.astype("<f4"),
             "NORMAL": normals.astype("<f4"),
@@ -114,8 +119,17 @@ class MeshFile:
             CONFIDENCE: confidence.detach().cpu().numpy().astype("<f4")[:, None],
             "faces": shown,
         }
-        matte = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
-        return mesh_document([part], matte).to_glb()
+        unlit = {
+            "pbrMetallicRoughness": {
+                "metallicFactor": 0.0,
+                "roughnessFactor": 1.0,
+            },  # of viewers that light it
+            "doubleSided": True,
+            "extensions": {UNLIT: {}},
+        }
+        document = mesh_document([part], unlit)
+        document.json["extensionsUsed"] = [UNLIT]
+        return document.to_glb()
 
     def _moved(self, vertices: Tensor) -> Floats:
         """New world positions (V, 3) in float64: the file's own positions plus what the optimisation moved
@@ -175,12 +189,6 @@ def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> Me
         _weld=welded,
         _overwritable=overwritable,
     )
-
-
-def confidence_colours(confidence: Floats) -> Floats:
-    """RGB (..., 3) in [0, 1]: red for confidence 0, over yellow, to green for 1."""
-    c = np.clip(confidence, 0.0, 1.0)
-    return np.stack([np.minimum(1.0, 2.0 - 2.0 * c), np.minimum(1.0, 2.0 * c), np.zeros_like(c)], -1)
 
 
 @contextmanager

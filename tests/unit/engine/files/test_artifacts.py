@@ -11,6 +11,8 @@ from PIL import Image
 
 from refine_engine.artifacts.make import make_artifacts
 from refine_engine.artifacts.pictures import hard_render
+from refine_engine.files import gltf
+from refine_engine.files.colour_scale import confidence_colours
 from refine_engine.files.mesh_file import read_mesh
 from refine_engine.method.config import RefineConfig
 from refine_engine.request import Inputs
@@ -73,8 +75,19 @@ def test_confidence_png_lies_over_the_input_image(artifacts: dict[str, Any]) -> 
     rows, columns = np.nonzero(covered)
     pixels, edge = seen[rows, columns], np.quantile(columns, (0.1, 0.9))
     left, right = pixels[columns < edge[0]], pixels[columns > edge[1]]
-    assert left[:, 0].mean() > 200 > 100 > left[:, 1].mean()  # red
-    assert right[:, 1].mean() > 200 > 100 > right[:, 0].mean()  # green
+    low, high = (confidence_colours(np.array(end)) * 255 for end in (0.0, 1.0))
+    assert abs(left[:, :3].mean(0) - low).max() < 40
+    assert abs(right[:, :3].mean(0) - high).max() < 40
+
+
+def test_confidence_png_and_glb_show_the_same_colours(artifacts: dict[str, Any]) -> None:
+    """The legend's ends are the colours of confidence 0 and 1 in the GLB."""
+    picture = np.asarray(Image.open(io.BytesIO(artifacts["confidence.png"])))
+    document = gltf.parse(artifacts["confidence.glb"])
+    linear = document.read(document.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"])[:, :3]
+    shown = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055) * 255
+    for legend in (picture[HEIGHT + 10, 8, :3], picture[HEIGHT + 10, WIDTH - 9, :3]):
+        assert abs(shown - legend).max(1).min() < 1
 
 
 def test_confidence_npz_has_vertices_and_symmetry_views(artifacts: dict[str, Any]) -> None:
@@ -91,6 +104,17 @@ def test_confidence_npz_has_vertices_and_symmetry_views(artifacts: dict[str, Any
         assert seen.min() >= 0
         assert seen.max() <= 1 + 1e-6
         assert seen.std() > 0.1  # both halves are in view
+
+
+def test_confidence_npz_has_what_was_refined(artifacts: dict[str, Any]) -> None:
+    arrays = np.load(io.BytesIO(artifacts["confidence.npz"]))
+    coarse, view = artifacts["file"].mesh, artifacts["view"]
+    assert np.array_equal(arrays["coarse_vertices"], coarse.vertices)
+    assert np.array_equal(arrays["coarse_faces"], coarse.faces)
+    assert np.array_equal(arrays["silhouette"], view.silhouette)
+    assert np.array_equal(arrays["silhouette_camera"], view.camera.world_to_camera)
+    assert arrays["silhouette_intrinsics"].tolist() == [90, 90, WIDTH / 2, HEIGHT / 2]
+    assert not arrays["silhouette_orthographic"]
 
 
 def test_preview_shows_four_panels_in_two_rows(artifacts: dict[str, Any]) -> None:

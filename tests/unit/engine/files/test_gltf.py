@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from refine_engine.files.colour_scale import confidence_colours
 from refine_engine.files.mesh_file import MeshFile, read_mesh
 
 
@@ -311,15 +312,20 @@ def test_other_sizes_are_a_programming_error(textured: bytes) -> None:
         file.with_vertices(torch.zeros(24, 3), torch.zeros(24))
 
 
-def test_confidence_glb_is_red_below_and_green_above(tools: Any, textured: bytes) -> None:
+def test_confidence_glb_is_unlit_in_linear_colours(tools: Any, textured: bytes) -> None:
     file = read_mesh(textured, "a.glb")
-    data = file.confidence_glb(file.mesh.vertices, torch.linspace(0, 1, 8))
+    sigma = torch.linspace(0, 1, 8)
+    data = file.confidence_glb(file.mesh.vertices, sigma)
     head, _ = tools.split_glb(data)
+    assert head["extensionsUsed"] == ["KHR_materials_unlit"]
+    assert head["materials"][0]["extensions"] == {"KHR_materials_unlit": {}}
     colour = head["accessors"][head["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
     assert (colour["count"], colour["type"]) == (8, "VEC4")
     _, binary = tools.split_glb(data)
     start = head["bufferViews"][colour["bufferView"]]["byteOffset"]
     rgba = np.frombuffer(binary, "<f4", 32, start).reshape(8, 4)
-    assert rgba[0].tolist() == [1, 0, 0, 1]
-    assert rgba[7].tolist() == [0, 1, 0, 1]
+    shown = np.where(rgba <= 0.0031308, rgba * 12.92, 1.055 * rgba ** (1 / 2.4) - 0.055)  # what a screen gets
+    expected = confidence_colours(sigma.double().numpy())
+    assert np.allclose(shown[:, :3], expected, atol=1e-5)
+    assert (rgba[:, 3] == 1).all()
     assert "images" not in head
