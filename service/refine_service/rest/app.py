@@ -6,7 +6,7 @@ from fastapi import FastAPI
 from starlette.types import ASGIApp
 
 from ..edge.edge import Edge
-from . import artifacts, events, health, refinements
+from . import artifacts, events, health, page, refinements
 from .middleware import HttpCalls
 from .openapi import describe
 from .problems import install_handlers
@@ -18,9 +18,11 @@ def make_app(edge: Edge) -> ASGIApp:
         title="REFINE",
         version="1",  # of the contract, as in the paths
         description="Refines a coarse mesh at test time from its silhouette and camera.",
+        docs_url=None,  # page.py: without a CDN
+        redoc_url=None,
     )
     app.state.edge = edge
-    for module in (refinements, events, artifacts, health):
+    for module in (refinements, events, artifacts, health, page):
         app.include_router(module.router)
     install_handlers(app)
     app.openapi = describe(app)  # type: ignore[method-assign]

@@ -1,0 +1,59 @@
+// The numbers of a refinement in words.
+
+import { fixed, percent, seconds, short } from "./dom.js";
+
+const OUTCOMES = {
+  refined: "The mesh was moved as a whole and then bent by the network.",
+  fitted: "The mesh was moved and scaled as a whole; what the network added was not better.",
+  kept: "The mesh is returned as it came.",
+};
+
+const STATES = {
+  queued: (refinement) => (refinement.queue_position ? `Waiting; ${refinement.queue_position} ahead of it.` : "Waiting for a free worker."),
+  running: () => "Running.",
+  cancelling: () => "Stopping.",
+  succeeded: () => "Done.",
+  failed: () => "It failed.",
+  cancelled: () => "It was cancelled.",
+  expired: () => "Its time is over; its files were removed.",
+};
+
+/** A sentence about where a refinement is. */
+export const stateWords = (refinement) => (STATES[refinement.state] ?? (() => `It is ${refinement.state}.`))(refinement);
+
+/** Sentences about what report.json says. */
+export function reportWords(report) {
+  const { silhouette_iou: iou, outcome, symmetry, mesh, config } = report;
+  const told = [];
+  if (outcome) told.push(OUTCOMES[outcome] ?? `Outcome: ${outcome}.`);
+  told.push(
+    iou.after > iou.before
+      ? `It agrees better with its silhouette: the 2D IoU went from ${fixed(iou.before, 3)} to ${fixed(iou.after, 3)}.`
+      : `The 2D IoU with its silhouette was ${fixed(iou.before, 3)} and is ${fixed(iou.after, 3)}.`,
+  );
+  if (symmetry) {
+    const normal = symmetry.normal.map((x) => fixed(x, 2)).join(", ");
+    const error = symmetry.error === null ? "was given" : `was found; the coarse mesh misses its mirror image by ${percent(symmetry.error)} of its size on average`;
+    told.push(`The mirror plane with the normal (${normal}) and the offset ${short(symmetry.offset)} ${error}.`);
+  } else if (symmetry === null) {
+    told.push("No mirror plane was found, so symmetry had no say.");
+  }
+  if (report.camera_turn_degrees > 0) told.push(`The camera was turned by ${short(report.camera_turn_degrees)}° to fit.`);
+  if (mesh) {
+    told.push(`The mesh has ${mesh.vertices.toLocaleString("en")} vertices and ${mesh.faces.toLocaleString("en")} faces.`);
+    if (mesh.removed_faces) told.push(`${mesh.removed_faces.toLocaleString("en")} faces that cover holes of the silhouette were removed.`);
+  }
+  if (report.best_iteration > 0 && outcome === "refined") told.push(`The best iterate was number ${report.best_iteration}.`);
+  told.push(`It took ${seconds(report.seconds)} on ${report.device}${config?.seed === undefined ? "" : `, with seed ${config.seed}`}.`);
+  return told;
+}
+
+/** What a confidence says, for the legend: a distance; see docs/files.md. */
+export function confidenceWords(report) {
+  const cost = report?.config?.confidence_cost;
+  const meaning = "How near the mirror image of a place comes to the mesh. It says nothing about how right the surface is.";
+  if (report?.symmetry === null) return `${meaning} Here no mirror plane was found: 0 everywhere.`;
+  if (!cost || report.config.learn_confidence) return `${meaning} 1: mirrored, 0: no mirror image.`;
+  const away = (confidence) => percent(Math.sqrt(cost / confidence));
+  return `${meaning} 1: within ${away(1)} of the object's size; 0.5: ${away(0.5)} away; 0.1: ${away(0.1)} away.`;
+}
