@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 from refine_engine.files.colour_scale import VIRIDIS
 from refine_proto.formats import ARTIFACTS, MESH_SUFFIXES, SILHOUETTE_THRESHOLD
 from refine_proto.models import Preset, State
 
-PAGE = Path(__file__).parents[2] / "service/refine_service/page"
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "service/refine_service/page"
 
 
 def text(name: str) -> str:
@@ -38,3 +40,10 @@ def test_every_state_and_every_artifact_has_words() -> None:
 def test_it_offers_every_preset_and_every_mesh_format() -> None:
     assert set(re.findall(r'<option value="(default|fast|paper)">', text("index.html"))) == set(Preset)
     assert f'accept="{",".join(MESH_SUFFIXES)}"' in text("index.html")
+
+
+def test_an_installation_carries_its_samples() -> None:
+    [names] = re.findall(r"const SAMPLES = \[(.+?)\];", text("try.js"))
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    for name in re.findall(r'"(\w+)"', names):
+        assert wheel["force-include"][f"examples/samples/{name}"] == f"refine_service/samples/{name}"

@@ -131,7 +131,7 @@ async def _show(service: _Child, redis_url: str, folder: Path) -> None:
     words = (await service.process.stdout.readline()).decode().split()
     if len(words) != 4:
         return  # it ends by itself, which _supervise tells
-    print(f"REST     {words[1]}  (documentation: {words[1]}/docs)")
+    print(f"REST     {words[1]}  (a page for people; documentation: {words[1]}/docs)")
     print(f"gRPC     {words[3]}")
     print(f"data     {folder.resolve()}  (logs: service.log, worker.log)")
     print("slots    starting", flush=True)

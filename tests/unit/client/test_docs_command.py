@@ -34,7 +34,7 @@ def test_an_installation_carries_them(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Output
 ) -> None:
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
-    assert wheel["force-include"] == {"docs": "refine_docs"}
+    assert wheel["force-include"]["docs"] == "refine_docs"
     (tmp_path / "refine_docs").symlink_to(ROOT / "docs")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(docs, "_CLONE", tmp_path / "no-clone")
