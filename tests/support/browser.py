@@ -19,8 +19,8 @@ _ARGUMENTS = [
 
 
 @contextmanager
-def chromium() -> Iterator[Browser]:
-    """The system's Chromium with an empty profile.
+def chromium(*arguments: str) -> Iterator[Browser]:
+    """The system's Chromium with an empty profile, and with further arguments.
 
     Playwright keeps an event loop in this thread as long as it runs: keep it no longer than a module's tests.
     """
@@ -28,7 +28,7 @@ def chromium() -> Iterator[Browser]:
     if found is None:
         pytest.skip(f"needs {' or '.join(_NAMES)}; on Debian: apt-get install chromium")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=_ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=found, args=[*_ARGUMENTS, *arguments])
         try:
             yield browser
         finally:
@@ -39,7 +39,8 @@ def chromium() -> Iterator[Browser]:
 def visit(browser: Browser, url: str, path: str = "") -> Iterator[Page]:
     """A page of the service at `url`; at the end it must have complained of nothing and called nobody else.
 
-    Answers of 400 and more are not complaints: what the page says about them is the test's matter.
+    Answers of 400 and more, and a lack of WebGL, are not complaints: what the page says about them is the
+    test's matter.
     """
     context = browser.new_context(viewport={"width": 1200, "height": 900}, locale="en-GB", timezone_id="UTC")
     page = context.new_page()
@@ -47,7 +48,8 @@ def visit(browser: Browser, url: str, path: str = "") -> Iterator[Page]:
     complaints: list[str] = []
 
     def listen(message: ConsoleMessage) -> None:
-        if message.type == "error" and "Failed to load resource" not in message.text:
+        expected = "Failed to load resource", "THREE.WebGLRenderer: "
+        if message.type == "error" and not any(words in message.text for words in expected):
             complaints.append(message.text)
 
     page.on("console", listen)
@@ -57,5 +59,6 @@ def visit(browser: Browser, url: str, path: str = "") -> Iterator[Page]:
     page.goto(f"{url}/{path}")
     yield page
     context.close()
-    assert complaints == []
-    assert [one for one in called if not one.startswith((f"{url}/", "blob:", "data:"))] == []
+    assert complaints == [], complaints
+    elsewhere = [one for one in called if not one.startswith((f"{url}/", "blob:", "data:"))]
+    assert elsewhere == [], elsewhere

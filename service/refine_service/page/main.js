@@ -72,7 +72,7 @@ addEventListener("hashchange", () => {
   main.focus({ preventScroll: true });
   scrollTo(0, 0);
 });
-for (const kind of ["dragover", "drop"]) addEventListener(kind, (event) => event.preventDefault()); // not in place of the page
+for (const kind of ["dragover", "drop"]) addEventListener(kind, (event) => event.preventDefault()); // a file must not replace the page
 shown(document.querySelector("noscript"), false);
 showKey();
 show();

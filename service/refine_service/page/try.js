@@ -21,7 +21,8 @@ export class Try {
     try {
       this.overlap = new Overlap(root.querySelector("#overlap"));
     } catch {
-      this.overlap = null; // no WebGL: submitting works all the same
+      this.overlap = null; // submitting works all the same
+      root.querySelector("#verdict").textContent = "This browser shows no WebGL, so nothing is drawn here.";
     }
     this.listen();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", this.update);
@@ -32,14 +33,13 @@ export class Try {
     for (const drop of this.root.querySelectorAll(".drop")) {
       const input = drop.querySelector("input");
       input.addEventListener("change", () => input.files[0] && this.pick(drop.dataset.kind, input.files[0]));
-      drop.addEventListener("dragover", (event) => (event.preventDefault(), drop.classList.add("over")));
-      drop.addEventListener("dragleave", () => drop.classList.remove("over"));
-      drop.addEventListener("drop", (event) => {
-        event.preventDefault();
-        drop.classList.remove("over");
-        for (const file of event.dataTransfer.files) this.pick(kindOf(file) ?? drop.dataset.kind, file);
-      });
+      drop.addEventListener("dragover", () => drop.classList.add("over"));
+      for (const kind of ["dragleave", "drop"]) drop.addEventListener(kind, () => drop.classList.remove("over"));
     }
+    this.root.addEventListener("drop", (event) => {
+      const zone = event.target.closest(".drop");
+      for (const file of event.dataTransfer.files) this.pick(kindOf(file) ?? zone?.dataset.kind, file);
+    });
     const samples = this.root.querySelector(".samples");
     for (const name of SAMPLES) {
       const picture = element("img", { src: `page/samples/${name}/silhouette.png`, alt: "", width: 28, height: 28 });
@@ -92,6 +92,7 @@ export class Try {
   async pick(kind, file, label = file.name) {
     this.tell("files");
     try {
+      if (!kind) throw new Error("expected a mesh, a PNG or a camera as JSON");
       const read = await PICKED[kind](file);
       if (kind === "camera") {
         readCamera(read, 2, 2); // throws what is wrong with it

@@ -25,6 +25,7 @@ export class Viewer {
     this.showSilhouette = true;
     this.seenByInput = false;
     this.box = input && boxOf(input);
+    this.contour = input && contourOf(input);
     this.sides = [before, after].map(sideOf);
     this.sphere = this.sides[0].mesh.geometry.boundingSphere;
     this.free = new PerspectiveCamera(FOV, 1, this.sphere.radius / 100, this.sphere.radius * 100);
@@ -139,24 +140,13 @@ export class Viewer {
   drawOutline(width, height) {
     Object.assign(this.outline, { width, height });
     if (!this.seenByInput || !this.showSilhouette) return;
-    const { object, width: w, height: h } = this.input;
-    const { x: left, y: top, width: wide, height: high } = this.imageArea(width, height);
+    const area = this.imageArea(width, height);
+    const scale = area.width / this.input.width;
     const context = this.outline.getContext("2d");
     context.strokeStyle = getComputedStyle(this.outline).color;
-    context.lineWidth = 2;
-    context.beginPath();
-    const [sx, sy] = [wide / w, high / h];
-    const is = (x, y) => x >= 0 && y >= 0 && x < w && y < h && object[y * w + x] > 0;
-    for (let y = 0; y < h; y++) {
-      for (let x = 0; x < w; x++) {
-        if (!is(x, y)) continue;
-        const [a, b, c, d] = [left + x * sx, top + y * sy, left + (x + 1) * sx, top + (y + 1) * sy];
-        for (const [outside, from, to] of [[!is(x - 1, y), [a, b], [a, d]], [!is(x + 1, y), [c, b], [c, d]], [!is(x, y - 1), [a, b], [c, b]], [!is(x, y + 1), [a, d], [c, d]]]) {
-          if (outside) context.moveTo(...from), context.lineTo(...to);
-        }
-      }
-    }
-    context.stroke();
+    context.setTransform(scale, 0, 0, scale, area.x, area.y);
+    context.lineWidth = 2 / scale;
+    context.stroke(this.contour);
   }
 
   dispose() {
@@ -181,6 +171,23 @@ function boxOf({ object, width, height }) {
     box.bottom = Math.max(box.bottom, y + 1);
   });
   return box;
+}
+
+/** The border between a silhouette and its background, along the sides of its pixels. */
+function contourOf({ object, width, height }) {
+  const path = new Path2D();
+  const side = (fromX, fromY, toX, toY) => (path.moveTo(fromX, fromY), path.lineTo(toX, toY));
+  const is = (x, y) => x >= 0 && y >= 0 && x < width && y < height && object[y * width + x] > 0;
+  for (let y = 0; y < height; y++) {
+    for (let x = 0; x < width; x++) {
+      if (!is(x, y)) continue;
+      if (!is(x - 1, y)) side(x, y, x, y + 1);
+      if (!is(x + 1, y)) side(x + 1, y, x + 1, y + 1);
+      if (!is(x, y - 1)) side(x, y, x + 1, y);
+      if (!is(x, y + 1)) side(x, y + 1, x + 1, y + 1);
+    }
+  }
+  return path;
 }
 
 /** A scene with one mesh, its lights and its materials. */

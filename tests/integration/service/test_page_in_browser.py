@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from browser import chromium, visit
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 from service_process import CAMERA, MESH, PNG, Hand, Service, run_service
 
 from refine_proto.models import Progress
@@ -57,6 +57,28 @@ def test_progress_and_losses_come_as_they_are_told(page: Page, service: Service,
     assert page.get_by_role("progressbar", name="Progress").get_attribute("value") == "60"
     chart = page.get_by_role("img", name="Losses: silhouette from 0.5 to 0.25, total from 1 to 0.5")
     expect(chart).to_be_visible()
+
+
+def test_a_stream_that_breaks_is_taken_up_again(page: Page, service: Service, hand: Hand) -> None:
+    """The second call asks for what came after the last event of the first."""
+    job_id = submit(service)
+    job = hand.start(job_id)
+    after: list[str] = []
+
+    def cut(route: Route) -> None:
+        after.append(route.request.headers["last-event-id"])
+        if len(after) == 1:
+            event = {"sequence": 1, "type": "state", "state": "cancelling"}
+            route.fulfill(body=f"id: 1\ndata: {json.dumps(event)}\n\n", content_type="text/event-stream")
+        else:
+            route.continue_()
+
+    page.route("**/events", cut)
+    page.goto(f"{service.rest_url}/#/refinements/{job_id}")
+    expect(page.locator(".state")).to_have_text("Stopping.")
+    hand.report(job, 4)
+    expect(page.locator(".progress-words")).to_have_text("Iteration 4 of 10.")
+    assert after == ["0", "1"]
 
 
 def test_cancel(page: Page, service: Service) -> None:
@@ -136,6 +158,25 @@ def test_the_description_of_the_api_needs_nothing_from_elsewhere(page: Page, ser
     expect(page.locator(".opblock")).not_to_have_count(0)
     page.get_by_role("button", name="post /v1/refinements", exact=False).first.click()
     expect(page.get_by_text("Submit a mesh, its silhouette and the camera.")).to_be_visible()
+
+
+def test_files_are_dropped_anywhere_and_sorted_by_their_names(page: Page) -> None:
+    files = {"a.obj": MESH.decode(), "camera.json": json.dumps(CAMERA), "notes.txt": "nothing"}
+    transfer = page.evaluate_handle(
+        """files => {
+          const transfer = new DataTransfer();
+          for (const [name, text] of Object.entries(files)) transfer.items.add(new File([text], name));
+          return transfer;
+        }""",
+        files,
+    )
+    page.locator("h1").dispatch_event("drop", {"dataTransfer": transfer})
+    for kind, name in (("mesh", "a.obj"), ("camera", "camera.json")):
+        expect(page.locator(f".drop[data-kind={kind}]")).to_contain_text(name)
+    assert page.get_by_role("spinbutton", name="Azimuth").input_value() == "30"
+    expect(page.locator("[data-error=files]")).to_have_text(
+        "notes.txt: expected a mesh, a PNG or a camera as JSON"
+    )
 
 
 def test_by_keyboard(page: Page) -> None:
