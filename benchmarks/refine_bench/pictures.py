@@ -1,4 +1,4 @@
-"""One picture per result: input, coarse, refined, ground truth and confidence, from two viewpoints."""
+"""One picture per result: input, coarse, refined, ground truth, confidence and error, from two viewpoints."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from refine_engine.artifacts.error_map import WORST, Surface, longest_side
 from refine_engine.artifacts.pictures import (
     Picture,
     confidence_picture,
@@ -24,23 +25,25 @@ from .outcome import Outcome
 
 SIDE = 168  # pixels of a panel
 MARGIN = 1.35  # of the window around the silhouette
-COLUMNS = ("input", "coarse", "refined", "ground truth", "confidence")
+COLUMNS = ("input", "coarse", "refined", "ground truth", "confidence", "error")
 MISSING, SURPLUS, BOTH, MASK = (38, 89, 217), (242, 128, 26), (191, 191, 191), (38, 38, 38)
 
 
 def draw(scene: Scene, outcome: Outcome) -> bytes:
-    """PNG, two rows of five panels. Above: as the input camera sees it. Below: from the side, and under the
+    """PNG, two rows of six panels. Above: as the input camera sees it. Below: from the side, and under the
     input its silhouette against the refined one (grey both, blue only the input, orange only the refined)."""
     window = Window.around(scene.view.silhouette)
     front = window.camera(scene.view.camera)
     truth = scene.ground_truth if isinstance(scene.ground_truth, Mesh) else None
     side = side_camera(front, truth or scene.coarse, SIDE)
+    surface, scale = (Surface(truth), WORST * longest_side(truth)) if truth else (None, 0.0)
     mask = window.crop(scene.view.silhouette)
     refined = (hard_render(outcome.mesh, front).face[0] >= 0).numpy()
     rows = []
     for camera, given in ((front, _mask_picture(mask)), (side, _difference(mask, refined))):
         meshes = (scene.coarse, outcome.mesh, truth)
         panels = [given, *(_shaded(mesh, camera) for mesh in meshes), _confidence(outcome, camera)]
+        panels.append(surface.error_picture(outcome.mesh, camera, scale) if surface else _blank())
         rows.append(np.concatenate(panels, 1))
     return encode(np.concatenate(rows, 0))
 

@@ -21,7 +21,7 @@ h1 { font-size: 1.5rem } h2 { font-size: 1.05rem; margin: 0 }
         grid-template-columns: minmax(0, 840px) 1fr; gap: 0 1.2rem }
 .case header { grid-column: 1 / -1; display: flex; gap: .8rem; align-items: baseline; flex-wrap: wrap }
 .tag { color: #666 } .worse { color: #b3261e } .better { color: #1b6e3c }
-.panels { display: grid; grid-template-columns: repeat(5, 1fr); color: #666; text-align: center;
+.panels { display: grid; grid-template-columns: repeat(6, 1fr); color: #666; text-align: center;
           margin-top: .4rem }
 img { width: 100%; display: block; background: #fff }
 table { border-collapse: collapse; margin: .4rem 0 }
@@ -34,7 +34,8 @@ svg { display: block; margin-top: .5rem } .note { color: #666 }
 LEGEND = (
     "Above as the input camera sees it, below from a quarter turn around the object. Under the input: its "
     "silhouette against the refined mesh, grey where they agree, blue what the mesh misses, orange what it "
-    "has too much. Confidence of symmetry: dark low, bright high."
+    "has too much. Confidence of symmetry: dark low, bright high. "
+    "Error: the refined mesh's distance to the truth, dark none, bright 5 % of its longest side and more."
 )
 
 

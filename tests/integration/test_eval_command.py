@@ -3,7 +3,9 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from refine_engine.commands.evaluate import eval_command
 
@@ -31,6 +33,22 @@ def test_table_leaves_out_what_was_not_asked(capsys: pytest.CaptureFixture[str])
     lines = capsys.readouterr().out.splitlines()
     assert [line[:16].strip() for line in lines] == ["", "EMD", "Chamfer-l2", "F-score", "volumetric IoU"]
     assert lines[0].split() == ["predicted"]
+
+
+@pytest.mark.parametrize("view", [VIEW, []])
+def test_picture_shows_where_a_mesh_is_wrong(view: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "error.png"
+    arguments = [TRUTH, TRUTH, "--coarse", COARSE, *view, "--seeds", "1", "--picture", str(path)]
+    assert eval_command(arguments) == 0
+    picture = np.asarray(Image.open(path)).astype(int)
+    sheet = picture[:-40]  # below it is the legend
+    coarse, truth = sheet.reshape(2, len(sheet) // 2, *sheet.shape[1:])
+    for row, least, most in ((coarse, 50, 255), (truth, 0, 15)):
+        for panel in np.split(row[30:-4], 4, axis=1):
+            inside = panel[:, 4:-4]
+            seen = inside[inside.min(-1) < 200]
+            assert len(seen) > 2000
+            assert least <= np.quantile(seen[:, 1], 0.9) <= most, (least, most)  # green rises with the error
 
 
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

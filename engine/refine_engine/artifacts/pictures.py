@@ -19,7 +19,7 @@ from ..values import Camera, Mesh, View
 
 Picture = NDArray[np.uint8]  # (H, W, 3 or 4)
 Colour = tuple[int, int, int]
-_PANEL = 320  # pixels a side
+PANEL_PIXELS = 320  # pixels a side
 _CAPTION = 26  # pixels of height
 _SAMPLES = 2  # per pixel and axis, for smooth edges
 _STEEPEST = 30.0  # degrees, elevation of the camera at the side
@@ -33,8 +33,8 @@ _PAPER, _SURFACE, _OBJECT, _MASK = (255, 255, 255), (168, 184, 209), (209, 209, 
 def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor) -> bytes:
     """preview.png: silhouette, mesh before and after, and their contours, as the input camera sees them;
     below, the confidence and the same meshes from the side, which the silhouette does not see."""
-    front = _fit(view.camera, _PANEL * _SAMPLES)
-    side = side_camera(view.camera, before, _PANEL * _SAMPLES)
+    front = fit(view.camera, PANEL_PIXELS * _SAMPLES)
+    side = side_camera(view.camera, before, PANEL_PIXELS * _SAMPLES)
     mask = _resize(view.silhouette.cpu().numpy(), front.width, front.height)
     seen = [hard_render(mesh, front) for mesh in (before, after)]
     aside = [hard_render(mesh, side) for mesh in (before, after)]
@@ -56,7 +56,7 @@ def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor
             ("contours from the side: before, after", _contours(covered[2], from_side)),
         ],
     ]
-    return encode(_grid(rows))
+    return encode(grid(rows))
 
 
 def draw_confidence(view: View, mesh: Mesh, confidence: torch.Tensor) -> bytes:
@@ -64,13 +64,14 @@ def draw_confidence(view: View, mesh: Mesh, confidence: torch.Tensor) -> bytes:
     input image (scaled down to 1024 pixels if it is larger), background transparent, with a legend below."""
     camera = drawn_camera(view)
     picture = confidence_picture(hard_render(mesh, camera), mesh, confidence)
-    return encode(np.concatenate([picture, _legend(camera.width)]))
+    words = ("0: no mirror image", "1: mirrored") if camera.width >= 200 else ("0", "1")
+    return encode(np.concatenate([picture, legend(camera.width, *words)]))
 
 
 def drawn_camera(view: View) -> Camera:
     """The camera of a view, its image scaled down to 1024 pixels if it is larger."""
     camera = view.camera
-    return _fit(camera, _MAX_SIDE) if max(camera.width, camera.height) > _MAX_SIDE else camera
+    return fit(camera, _MAX_SIDE) if max(camera.width, camera.height) > _MAX_SIDE else camera
 
 
 def drawn_silhouette(view: View) -> NDArray[np.bool_]:
@@ -139,7 +140,7 @@ def encode(picture: Picture) -> bytes:
     return stream.getvalue()
 
 
-def _fit(camera: Camera, pixels: int) -> Camera:
+def fit(camera: Camera, pixels: int) -> Camera:
     """The same camera with an image whose longest side is `pixels`."""
     scale = pixels / max(camera.width, camera.height)
     width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
@@ -187,16 +188,19 @@ def _outline(mask: NDArray[np.bool_], width: int) -> NDArray[np.bool_]:
     return mask & ~inner[1:-1, 1:-1]
 
 
-def _grid(rows: list[list[tuple[str, Picture]]]) -> Picture:
+def grid(rows: list[list[tuple[str, Picture]]]) -> Picture:
     """Panels with captions, four to a row; each picture is scaled into its panel with its aspect kept."""
-    sheet = Image.new("RGB", (_PANEL * len(rows[0]), (_PANEL + _CAPTION) * len(rows)), "white")
+    sheet = Image.new("RGB", (PANEL_PIXELS * len(rows[0]), (PANEL_PIXELS + _CAPTION) * len(rows)), "white")
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
     for down, row in enumerate(rows):
         for across, (caption, picture) in enumerate(row):
-            left, top = across * _PANEL, down * (_PANEL + _CAPTION)
+            left, top = across * PANEL_PIXELS, down * (PANEL_PIXELS + _CAPTION)
             image = Image.fromarray(picture)
-            image.thumbnail((_PANEL - 4, _PANEL - 4), Image.Resampling.BOX)
-            corner = left + (_PANEL - image.width) // 2, top + _CAPTION + (_PANEL - image.height) // 2
+            image.thumbnail((PANEL_PIXELS - 4, PANEL_PIXELS - 4), Image.Resampling.BOX)
+            corner = (
+                left + (PANEL_PIXELS - image.width) // 2,
+                top + _CAPTION + (PANEL_PIXELS - image.height) // 2,
+            )
             sheet.paste(image, corner)
             draw.rectangle(
                 (corner[0] - 1, corner[1] - 1, corner[0] + image.width, corner[1] + image.height),
@@ -220,13 +224,12 @@ def _write_caption(
         x += draw.textlength(word + " ", font=font)
 
 
-def _legend(width: int) -> Picture:
-    """RGBA strip: the colours from 0 to 1, and what the ends mean."""
+def legend(width: int, low: str, high: str) -> Picture:
+    """RGBA strip (40, width, 4): the colours from 0 to 1, and words for its ends."""
     strip = np.full((40, width, 4), 255, np.uint8)
     strip[6:18, 8 : max(width - 8, 9), :3] = _bytes(confidence_colours(np.linspace(0, 1, max(width - 16, 1))))
     image = Image.fromarray(strip, "RGBA")
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(12)
-    low, high = ("0: no mirror image", "1: mirrored") if width >= 200 else ("0", "1")
     draw.text((8, 21), low, fill="black", font=font)
     draw.text((width - 8, 21), high, fill="black", font=font, anchor="ra")
     return np.asarray(image)

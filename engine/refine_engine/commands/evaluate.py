@@ -67,6 +67,10 @@ def eval_command(argv: Sequence[str]) -> int:
             )
             for name, mesh in meshes.items()
         }
+        if arguments.picture is not None:
+            from ..artifacts.error_map import draw_errors
+
+            arguments.picture.write_bytes(draw_errors(meshes, ground_truth, view))
     except (InputError, OSError) as error:
         return fail(str(error), BAD_INPUT)
     if arguments.json:
@@ -102,6 +106,10 @@ def eval_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seeds", type=_positive, default=5, metavar="N", help="random draws to average (default: 5)"
     )
+    parser.add_argument(
+        "--picture", type=Path, metavar="PNG",
+        help="draw where it is wrong: the distance to the truth as colours, and from the truth to it",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
 
