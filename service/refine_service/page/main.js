@@ -67,6 +67,10 @@ document.addEventListener("key-needed", () => {
   askForKey();
 });
 
+document.querySelector(".skip").addEventListener("click", (event) => {
+  event.preventDefault(); // what is after # says which view is shown
+  main.focus();
+});
 addEventListener("hashchange", () => {
   show();
   main.focus({ preventScroll: true });

@@ -9,6 +9,7 @@ import { colourOf } from "./colours.js";
 import { oncePerFrame } from "./dom.js";
 
 const FOV = 35; // degrees, of the free camera
+const MOST_EDGES = 300_000; // corners of triangles: finding edges among more takes seconds
 const STEP = 10; // degrees that an arrow key turns
 const DIRECTIONS = { front: [0, 0, 1], back: [0, 0, -1], right: [1, 0, 0], left: [-1, 0, 0], top: [0, 1, 1e-3] };
 
@@ -99,9 +100,10 @@ export class Viewer {
 
   /** Colour the mesh after by values in [0, 1] per vertex; null: plain. */
   colour(values) {
-    const { mesh, edges, plain, coloured } = this.sides[1];
+    const { mesh, plain, coloured } = this.sides[1];
     mesh.material = values ? coloured : plain;
-    edges.visible = Boolean(values);
+    if (values) this.edges ??= edgesOf(mesh);
+    if (this.edges) this.edges.visible = Boolean(values);
     if (values) {
       const colours = new Float32Array(3 * values.length);
       const colour = new Color();
@@ -153,7 +155,8 @@ export class Viewer {
     this.turning = false;
     this.sizes.disconnect();
     this.controls.dispose();
-    for (const { mesh, edges } of this.sides) mesh.geometry.dispose(), edges.geometry.dispose();
+    for (const { mesh } of this.sides) mesh.geometry.dispose();
+    this.edges?.geometry.dispose();
     this.renderer.dispose();
     this.renderer.forceContextLoss();
   }
@@ -198,10 +201,17 @@ function sideOf({ positions, faces }) {
   const plain = new MeshLambertMaterial({ color: 0xa8b8d1, side: DoubleSide, flatShading: true });
   const coloured = new MeshBasicMaterial({ vertexColors: true, side: DoubleSide }); // unlit: the colours of the legend
   const mesh = new Mesh(geometry, plain);
-  const edges = new LineSegments(new EdgesGeometry(geometry, 20), new LineBasicMaterial({ color: 0x000000, transparent: true, opacity: 0.22 }));
-  edges.visible = false; // drawn where colours leave no shade to see the shape by
-  mesh.frustumCulled = edges.frustumCulled = false;
+  mesh.frustumCulled = false;
   const headlight = new DirectionalLight(0xffffff, 2.6);
-  const scene = new Scene().add(mesh, edges, new HemisphereLight(0xffffff, 0x6a6a76, 0.9), headlight);
-  return { scene, mesh, edges, headlight, plain, coloured };
+  const scene = new Scene().add(mesh, new HemisphereLight(0xffffff, 0x6a6a76, 0.9), headlight);
+  return { scene, mesh, headlight, plain, coloured };
+}
+
+/** The sharp edges of a mesh as lines on it, where colours leave no shade to see the shape by; null for a large one. */
+function edgesOf(mesh) {
+  if (mesh.geometry.index.count > MOST_EDGES) return null;
+  const faint = new LineBasicMaterial({ color: 0x000000, transparent: true, opacity: 0.22 });
+  const edges = new LineSegments(new EdgesGeometry(mesh.geometry, 20), faint);
+  mesh.add(edges);
+  return edges;
 }

@@ -180,8 +180,16 @@ def test_files_are_dropped_anywhere_and_sorted_by_their_names(page: Page) -> Non
 
 
 def test_by_keyboard(page: Page) -> None:
+    page.get_by_role("link", name="Refinements", exact=True).press("Enter")
+    expect(page.get_by_role("heading", name="Refinements")).to_be_visible()
+    page.reload()
     page.keyboard.press("Tab")
-    expect(page.get_by_role("link", name="Skip to the content")).to_be_focused()
+    skip = page.get_by_role("link", name="Skip to the content")
+    expect(skip).to_be_focused()
+    skip.press("Enter")
+    expect(page.get_by_role("main")).to_be_focused()
+    expect(page.get_by_role("heading", name="Refinements")).to_be_visible()
+    page.get_by_role("link", name="New").press("Enter")
     page.get_by_role("button", name="Chair", exact=True).focus()
     page.keyboard.press("Enter")
     expect(page.locator("#iou")).to_have_text(re.compile(r"0\.\d{3}"))
