@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from refine_engine.commands.evaluate import eval_command
 
@@ -49,6 +49,20 @@ def test_picture_shows_where_a_mesh_is_wrong(view: list[str], tmp_path: Path) ->
             seen = inside[inside.min(-1) < 200]
             assert len(seen) > 2000
             assert least <= np.quantile(seen[:, 1], 0.9) <= most, (least, most)  # green rises with the error
+
+
+def test_turntable_turns_once_around(tmp_path: Path) -> None:
+    path = tmp_path / "turn.webp"
+    arguments = [COARSE, TRUTH, "--coarse", COARSE, "--seeds", "1", "--turntable", str(path)]
+    assert eval_command(arguments) == 0
+    with Image.open(path) as image:
+        assert (image.format, image.info["loop"]) == ("WEBP", 0)
+        frames = [np.asarray(frame.convert("L")).astype(int) for frame in ImageSequence.Iterator(image)]
+    assert len(frames) == 36
+    coarse, predicted, truth = np.split(frames[0][30:], 3, axis=1)
+    assert abs(coarse - predicted).mean() < 1  # the same mesh; the compression differs
+    assert abs(coarse - truth).mean() > 2
+    assert abs(frames[0] - frames[9]).mean() > 2
 
 
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,10 +67,7 @@ def eval_command(argv: Sequence[str]) -> int:
             )
             for name, mesh in meshes.items()
         }
-        if arguments.picture is not None:
-            from ..artifacts.error_map import draw_errors
-
-            arguments.picture.write_bytes(draw_errors(meshes, ground_truth, view))
+        _draw(arguments, meshes, ground_truth, view)
     except (InputError, OSError) as error:
         return fail(str(error), BAD_INPUT)
     if arguments.json:
@@ -110,8 +107,26 @@ def eval_parser() -> argparse.ArgumentParser:
         "--picture", type=Path, metavar="PNG",
         help="draw where it is wrong: the distance to the truth as colours, and from the truth to it",
     )  # fmt: skip
+    parser.add_argument(
+        "--turntable", type=Path, metavar="WEBP", help="draw the meshes and the truth, turning side by side"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
+
+
+def _draw(
+    arguments: argparse.Namespace, meshes: dict[str, Mesh], ground_truth: Mesh, view: View | None
+) -> None:
+    """Write the pictures that were asked for."""
+    if arguments.picture is not None:
+        from ..artifacts.error_map import draw_errors
+
+        arguments.picture.write_bytes(draw_errors(meshes, ground_truth, view))
+    if arguments.turntable is not None:
+        from ..artifacts.turntable import draw_turntable
+
+        turning = draw_turntable(meshes | {"truth": ground_truth}, ground_truth)
+        arguments.turntable.write_bytes(turning)
 
 
 def _positive(text: str) -> int:
