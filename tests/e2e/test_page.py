@@ -99,6 +99,26 @@ def test_before_and_after_are_two_pictures_and_the_slider_is_between(page: Page)
     assert stage.screenshot() != pictures[-1]  # turned
 
 
+@pytest.mark.parametrize("width", [320, 768, 2400])
+def test_nothing_is_wider_than_the_window(page: Page, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 700})
+    choose(page, "chair")
+
+    def overflow() -> int:
+        return int(page.evaluate("document.documentElement.scrollWidth - innerWidth"))
+
+    assert overflow() <= 0
+    page.get_by_role("radio", name="Matrix").check()
+    assert overflow() <= 0
+    page.get_by_role("radio", name="Angles").check()
+    refine(page, iterations=5)
+    expect(page.locator(".words li")).not_to_have_count(0)
+    assert overflow() <= 0
+    page.get_by_role("link", name="Refinements", exact=True).click()
+    expect(page.locator("tbody tr")).not_to_have_count(0)
+    assert overflow() <= 0
+
+
 def test_cancel_a_running_one(page: Page) -> None:
     choose(page, "chair")
     refine(page, iterations=10_000)
