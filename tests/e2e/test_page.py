@@ -12,7 +12,7 @@ import httpx
 import pytest
 import trimesh
 from browser import chromium, visit
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, FilePayload, Page, expect
 from serve_process import Served
 
 from refine_engine import read_camera, read_mesh
@@ -147,6 +147,27 @@ def test_another_reading_of_a_matrix_is_offered(page: Page) -> None:
     expect(page.locator("#better")).to_contain_text("Read as opengl, world to camera")
     page.get_by_role("button", name="Use it").click()
     expect(page.locator("#verdict")).to_contain_text(re.compile("good start|agrees"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "content", "told"),
+    [
+        ("mesh", "a.glb", b"glTF123", "a.glb: this mesh cannot be read: "),
+        ("mesh", "a.obj", b"v 0 0 0\n", "a.obj: expected triangles, found none"),
+        ("mesh", "a.step", b"ISO-10303", "expected a GLB, glTF, OBJ, PLY, STL or OFF file"),
+        ("silhouette", "a.png", b"none", "a.png: expected a PNG image that this browser can read"),
+        ("camera", "a.json", b'{"type": "spherical"}', "a.json: expected type look_at or matrix"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_told_and_the_last_one_stays(
+    page: Page, kind: str, name: str, content: bytes, told: str
+) -> None:
+    choose(page, "car")
+    file: FilePayload = {"name": name, "mimeType": "application/octet-stream", "buffer": content}
+    page.locator(f"input[name={kind}]").set_input_files(file)
+    expect(page.locator("[data-error=files]")).to_contain_text(told)
+    expect(page.locator(f".drop[data-kind={kind}]")).to_contain_text("car/")
+    expect(page.get_by_role("button", name="Refine", exact=True)).to_be_enabled()
 
 
 def test_what_is_no_camera_is_said(page: Page) -> None:

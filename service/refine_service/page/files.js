@@ -4,20 +4,28 @@ import { GLTFLoader, OBJLoader, PLYLoader, STLLoader, Vector3 } from "./vendor/t
 
 /** The triangles of a mesh file: positions Float32Array (V * 3), faces Uint32Array (F * 3). Throws an Error in words. */
 export async function readMesh(file) {
+  let read;
+  try {
+    read = await parse(file);
+  } catch (error) {
+    throw new Error(`this mesh cannot be read: ${error.message}`);
+  }
+  if (!read.faces.length) throw new Error("expected triangles, found none");
+  return read;
+}
+
+async function parse(file) {
   const bytes = await file.arrayBuffer();
   const head = new TextDecoder("latin1").decode(bytes.slice(0, 1024)).trimStart();
   const suffix = file.name.split(".").pop().toLowerCase();
   const text = () => new TextDecoder().decode(bytes);
-  let read;
-  if (head.startsWith("glTF")) read = ofScene((await new GLTFLoader().parseAsync(bytes, "")).scene);
-  else if (head.startsWith("{")) read = ofScene((await new GLTFLoader().parseAsync(text(), "")).scene);
-  else if (/^ply\s/.test(head)) read = ofGeometries([new PLYLoader().parse(bytes)]);
-  else if (suffix === "obj") read = ofScene(new OBJLoader().parse(text()));
-  else if (suffix === "stl") read = ofGeometries([new STLLoader().parse(bytes)]);
-  else if (suffix === "off" || /^\w*OFF/.test(head)) read = readOff(text());
-  else throw new Error(`expected a GLB, glTF, OBJ, PLY, STL or OFF file, got ${file.name}`);
-  if (!read.faces.length) throw new Error(`expected triangles in ${file.name}, found none`);
-  return read;
+  if (head.startsWith("glTF")) return ofScene((await new GLTFLoader().parseAsync(bytes, "")).scene);
+  if (head.startsWith("{")) return ofScene((await new GLTFLoader().parseAsync(text(), "")).scene);
+  if (/^ply\s/.test(head)) return ofGeometries([new PLYLoader().parse(bytes)]);
+  if (suffix === "obj") return ofScene(new OBJLoader().parse(text()));
+  if (suffix === "stl") return ofGeometries([new STLLoader().parse(bytes)]);
+  if (suffix === "off" || /^\w*OFF/.test(head)) return readOff(text());
+  throw new Error("expected a GLB, glTF, OBJ, PLY, STL or OFF file");
 }
 
 function ofScene(scene) {
@@ -68,7 +76,7 @@ export async function readSilhouette(file, threshold = 0.25) {
   try {
     image = await createImageBitmap(file, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
   } catch {
-    throw new Error(`expected a PNG image, ${file.name} is none that this browser reads`);
+    throw new Error("expected a PNG image that this browser can read");
   }
   const { width, height } = image;
   const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
