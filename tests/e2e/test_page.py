@@ -69,7 +69,8 @@ def test_a_sample_is_refined_and_seen(page: Page, rest: httpx.Client, sample: st
     expect(page.get_by_role("heading", name="Before and after")).to_be_visible()
     iou = rest.get(f"/refinements/{refinement_id}").json()["silhouette_iou"]
     assert before == pytest.approx(iou["before"], abs=NEAR)
-    expect(page.locator(".words")).to_contain_text(f"{iou['after']:.3f}")
+    for words in (f"{iou['after']:.3f}", "with preset fast and seed 0"):
+        expect(page.locator(".words")).to_contain_text(words)
     for colours, words in (
         ("Symmetry confidence", "within 2.2 % of the object"),
         ("Displacement", "was moved"),

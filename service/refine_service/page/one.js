@@ -84,7 +84,7 @@ export class One {
     }
     const get = (name) => call(address(this.id, `/artifacts/${name}`), { signal: this.left.signal });
     const report = await (await get("report.json")).json();
-    this.find(".words ul").replaceChildren(...reportWords(report).map((words) => element("li", {}, words)));
+    this.find(".words ul").replaceChildren(...reportWords(report, refinement.options).map((words) => element("li", {}, words)));
     this.find(".warnings").replaceChildren(...report.warnings.map((words) => element("li", {}, `Warning: ${words}.`)));
     drawChart(this.find(".result > .losses .chart"), report.loss_curve ?? {});
     shown(this.find(".result > .losses"), this.find(".result > .losses svg") !== null);

@@ -21,9 +21,9 @@ const STATES = {
 /** A sentence about where a refinement is. */
 export const stateWords = (refinement) => (STATES[refinement.state] ?? (() => `It is ${refinement.state}.`))(refinement);
 
-/** Sentences about what report.json says. */
-export function reportWords(report) {
-  const { silhouette_iou: iou, outcome, symmetry, mesh, config } = report;
+/** Sentences about what report.json says of a refinement with these options. */
+export function reportWords(report, { preset, seed }) {
+  const { silhouette_iou: iou, outcome, symmetry, mesh } = report;
   const told = [];
   if (outcome) told.push(OUTCOMES[outcome] ?? `Outcome: ${outcome}.`);
   told.push(
@@ -44,7 +44,7 @@ export function reportWords(report) {
     if (mesh.removed_faces) told.push(`${mesh.removed_faces.toLocaleString("en")} faces that cover holes of the silhouette were removed.`);
   }
   if (report.best_iteration > 0 && outcome === "refined") told.push(`The best iterate was number ${report.best_iteration}.`);
-  told.push(`It took ${seconds(report.seconds)} on ${report.device}${config?.seed === undefined ? "" : `, with seed ${config.seed}`}.`);
+  told.push(`It took ${seconds(report.seconds)} on ${report.device}, with preset ${preset} and seed ${seed}.`);
   return told;
 }
 
