@@ -4,44 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import cast
 
 import torch
 
 from refine_proto.cameras import CameraSpec
 from refine_proto.formats import SILHOUETTE_THRESHOLD
-from refine_proto.models import (
-    CameraCorrection,
-    Judgement,
-    MirrorPlane,
-    Outcome,
-    RefinementOptions,
-    SilhouetteIou,
-)
 
 from .cameras.in_view import check_in_view
 from .cameras.spec import camera_from_spec
 from .files.limits import MeshLimits
 from .files.mesh_file import MeshFile, read_mesh
 from .files.png import read_silhouette
-from .method.config import RefineConfig, Symmetry, Topology
+from .method.config import RefineConfig
 from .method.loop import refine
-from .method.presets import make_config
 from .values import Progress, Result, View
-
-
-def config_of(options: RefinementOptions) -> RefineConfig:
-    """The engine's configuration for the options of a request; OptionsInvalid."""
-    return make_config(
-        options.preset,
-        options.iterations,
-        options.seed,
-        cast(Symmetry | None, options.symmetry),  # the same words
-        options.symmetry_normal,
-        options.symmetry_offset,
-        cast(Topology | None, options.topology),
-        options.correct_camera,
-    )
 
 
 @dataclass(frozen=True)
@@ -65,19 +41,6 @@ class Inputs:
             config = replace(config, topology="fixed")  # a hole would show in the texture
         result = refine(mesh, views, config, report, cancelled)
         return replace(result, warnings=(*self.warnings, *result.warnings))
-
-
-def judgement_of(result: Result) -> Judgement:
-    """What the contract tells of a result."""
-    plane, turn = result.plane, result.camera_turn_degrees
-    return Judgement(
-        silhouette_iou=SilhouetteIou(before=result.silhouette_iou_before, after=result.silhouette_iou_after),
-        outcome=Outcome(result.outcome),
-        warnings=list(result.warnings),
-        mirror_plane=plane
-        and MirrorPlane(normal=plane.normal.tolist(), offset=plane.offset, error=plane.error),
-        camera_correction=None if turn is None else CameraCorrection(turn_degrees=turn),
-    )
 
 
 def read_inputs(

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from refine_engine.contract import config_of
 from refine_engine.errors import OptionsInvalid
 from refine_engine.method.presets import MAX_ITERATIONS, PRESETS, make_config
-from refine_engine.request import config_of
 from refine_proto.models import Preset, RefinementOptions, Symmetry, Topology
 
 

@@ -15,11 +15,12 @@ import torch
 
 from refine_proto.formats import ArtifactName
 
+from ..contract import judgement_of
 from ..files.mesh_file import MeshFile
 from ..kernels import interpolate, rasterize
 from ..method.config import RefineConfig
 from ..method.views import Frame, SymmetryViews
-from ..request import Inputs, judgement_of
+from ..request import Inputs
 from ..values import Mesh, Result
 from .pictures import draw_confidence, draw_preview, drawn_camera, drawn_silhouette
 

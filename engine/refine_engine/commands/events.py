@@ -20,7 +20,7 @@ from refine_proto.models import (
 from refine_proto.progress import ProgressMeter
 
 from .. import values
-from ..request import judgement_of
+from ..contract import judgement_of
 
 NEVER = datetime(9999, 12, 31, 23, 59, 59, tzinfo=UTC)  # as certificates say it (RFC 5280)
 INTERVAL_S = 0.5  # between two events of progress, as from a server

@@ -20,10 +20,11 @@ from refine_proto.models import Refinement
 
 from ..artifacts.make import make_artifacts
 from ..cameras.spec import read_camera
+from ..contract import config_of
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
-from ..request import Inputs, config_of, read_inputs
+from ..request import Inputs, read_inputs
 from .events import RunEvents
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 import torch
 
 from refine_engine.artifacts.make import make_artifacts
-from refine_engine.request import Inputs, config_of, judgement_of, read_inputs
+from refine_engine.contract import config_of, judgement_of
+from refine_engine.request import Inputs, read_inputs
 from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
