@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from .jit import numba_jit
 from .oracle import CUTOFF, FLAT, LEAST_CONFIDENCE, NEAR
 
 f32 = np.float32
@@ -38,7 +38,7 @@ L_COEFFICIENTS = (
 L0, L1, L2, L3, L4, L5, L6, L7 = (f32(c) for c in L_COEFFICIENTS)
 
 FAST = {"reassoc", "contract", "arcp", "nsz", "nnan"}
-jit = njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
+jit = numba_jit(fastmath=FAST, error_model="numpy")
 
 
 @jit

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from ..kernels.jit import numba_jit
 
 Array = NDArray[np.float64]
 CLUSTER_TRIANGLES = 8
@@ -65,7 +66,7 @@ def _clusters(centres: Array) -> list[NDArray[np.int64]]:
     return done
 
 
-@njit(cache=True, nogil=True)
+@numba_jit()
 def _sum_solid_angles(
     triangles: Array,  # (F, 3, 3), clusters one after another
     bounds: NDArray[np.int64],  # (C + 1,) first triangle of each cluster
@@ -92,7 +93,7 @@ def _sum_solid_angles(
         result[i] = total / (4.0 * math.pi)
 
 
-@njit(cache=True, nogil=True)
+@numba_jit()
 def _solid_angle(triangle: Array, px: float, py: float, pz: float) -> float:
     """Signed solid angle of a triangle seen from p (Van Oosterom and Strackee 1983), in (-2 pi, 2 pi]."""
     ax, ay, az = triangle[0, 0] - px, triangle[0, 1] - py, triangle[0, 2] - pz
