@@ -104,7 +104,7 @@ def test_it_is_valid_for_compose() -> None:
     docker = shutil.which("docker")
     if docker is None or subprocess.run([docker, "compose", "version"], capture_output=True).returncode:
         pytest.skip("docker with its plugin compose is not on this machine")
-    profiles = [f"--profile={name}" for name in ("gpu", "s3")]
+    profiles = [f"--profile={name}" for name in ("gpu", "s3", "monitoring")]
     command: list[str | Path] = [docker, "compose", "--file", FOLDER / "compose.yaml", *profiles]
     done = subprocess.run([*command, "config", "--quiet"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -138,6 +138,15 @@ def test_images_of_others_have_a_version() -> None:
     assert all(re.fullmatch(r"\$\{\w+_IMAGE:-\S+:v?\d+\.\d+\.\d+\}", image) for image in images)
 
 
+def test_files_that_it_names_are_there() -> None:
+    if not (ROOT / "deploy").is_dir():
+        pytest.skip(
+            "deploy/, whose alerts and dashboard the profile monitoring shows, is not in this checkout"
+        )
+    files = [config["file"] for config in COMPOSE["configs"].values() if "file" in config]
+    assert [name for name in files if not (FOLDER / name).is_file()] == []
+
+
 def test_containers_are_stopped_later_than_the_program_stops() -> None:
     assert seconds(SERVICES["service"]["stop_grace_period"]) > ServiceSettings().grace_s
     assert seconds(SERVICES["worker"]["stop_grace_period"]) >= WorkerSettings().stop_grace_s + 15
@@ -154,3 +163,20 @@ def test_every_variable_of_it_stands_in_the_example() -> None:
     used = set(re.findall(r"\$\{(\w+)", (FOLDER / "compose.yaml").read_text())) - {"ENV_FILE"}
     told = set(re.findall(r"^#?(\w+)=", EXAMPLE, re.MULTILINE))
     assert sorted(name for name in used - told if not name.endswith("_IMAGE")) == []
+
+
+def test_prometheus_asks_services_of_it_on_their_ports() -> None:
+    scraped = yaml.safe_load((FOLDER / "prometheus.yaml").read_text())["scrape_configs"]
+    asked = {
+        (host, str(discovery["port"]))
+        for job in scraped
+        for discovery in job.get("dns_sd_configs", [])
+        for host in discovery["names"]
+    }
+    asked |= {
+        tuple(target.split(":"))
+        for job in scraped
+        for static in job.get("static_configs", [])
+        for target in static["targets"]
+    }
+    assert asked == {("service", SERVICES["service"]["environment"]["REFINE_HTTP_PORT"])}
