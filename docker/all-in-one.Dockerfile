@@ -28,9 +28,9 @@ COPY constraints.txt ./
 # Without its dependencies, which PyPI has in the versions of constraints.txt.
 RUN /tools/bin/pip --python /opt/refine/bin/python install --no-deps \
     --index-url "${TORCH_INDEX}" -c constraints.txt torch
-# The dependencies first, with the packages of the project empty: a change of its source installs none of them again.
+# The dependencies first, with the project empty: a change of its source installs none of them again.
 COPY constraints.txt pyproject.toml ./
-RUN mkdir docs && touch LICENSE README.md && \
+RUN touch LICENSE README.md && sed -i '/^\[tool.hatch.build.targets.wheel.force-include]/,/^$/d' pyproject.toml && \
     /tools/bin/pip --python /opt/refine/bin/python install -c constraints.txt '.[service,worker]'
 COPY --from=wheel /wheels /wheels
 RUN /tools/bin/pip --python /opt/refine/bin/python install --no-deps --force-reinstall /wheels/*.whl && \

@@ -22,9 +22,9 @@ RUN /tools/bin/pip wheel --no-deps --wheel-dir /wheels .
 # ---------------------------------------------------------------------------------------------------------------------
 
 FROM tools AS installed
-# The dependencies first, with the packages of the project empty: a change of its source installs none of them again.
+# The dependencies first, with the project empty: a change of its source installs none of them again.
 COPY constraints.txt pyproject.toml ./
-RUN mkdir docs && touch LICENSE README.md && \
+RUN touch LICENSE README.md && sed -i '/^\[tool.hatch.build.targets.wheel.force-include]/,/^$/d' pyproject.toml && \
     /tools/bin/pip --python /opt/refine/bin/python install -c constraints.txt '.[service]'
 COPY --from=wheel /wheels /wheels
 RUN /tools/bin/pip --python /opt/refine/bin/python install --no-deps --force-reinstall /wheels/*.whl && \
