@@ -14,5 +14,6 @@ feed           the events of jobs, for any number of watchers
 reaper         lost slots, lost deliveries, old data: put right now and then
 slots          what a slot says of itself
 logs           one JSON object per line, for service and worker
+build          the metric that tells which version runs
 health         what readiness and metrics need to know of all processes
 """

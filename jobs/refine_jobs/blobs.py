@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import shutil
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterable, Iterator
 from dataclasses import dataclass
@@ -29,6 +30,14 @@ class Blob:
     sha256: str
 
 
+@dataclass(frozen=True)
+class Space:
+    """Of the disk on which blobs lie."""
+
+    size_bytes: int
+    free_bytes: int
+
+
 class BlobNotFound(Exception):
     """No blob of this name."""
 
@@ -38,7 +47,8 @@ class BlobStore:
 
     def __init__(self, location: str) -> None:
         self._store: ObjectStore
-        if location.startswith("s3://"):
+        self._folder = None if location.startswith("s3://") else location
+        if self._folder is None:
             self._store = S3Store.from_url(location, virtual_hosted_style_request=False)
         else:
             try:
@@ -110,6 +120,13 @@ class BlobStore:
             except FileNotFoundError:
                 continue  # somebody else was faster
         return len(names)
+
+    def space(self) -> Space | None:
+        """Of the file system; None for a bucket, which has no bound. Raises OSError."""
+        if self._folder is None:
+            return None
+        usage = shutil.disk_usage(self._folder)
+        return Space(usage.total, usage.free)
 
     def check_writable(self) -> None:
         """Write and delete a probe; raises whatever the store raises."""

@@ -12,6 +12,7 @@ OWNER = "refine:owner:"  # + owner: sorted set of ids by submission number, for 
 IDEMPOTENCY = "refine:idempotency:"  # + owner + ":" + sha256 of the key: "<id> <fingerprint>"
 SUBMISSIONS = "refine:submissions"  # counter: the submission number
 QUEUED = "refine:queued"  # sorted set of queued ids by submission number: queue position, global bound
+QUEUED_SINCE = "refine:queued-since"  # sorted set of queued ids by the time they entered the queue: its delay
 QUEUED_BY_OWNER = "refine:queued-by-owner"  # hash owner -> queued jobs; changes together with QUEUED
 LEASES = "refine:leases"  # sorted set of running ids by the end of their lease
 EXPIRY = "refine:expiry"  # sorted set of ended ids by the time their data goes
@@ -46,6 +47,7 @@ def lua_constants() -> str:
         "OWNER": OWNER,
         "SUBMISSIONS": SUBMISSIONS,
         "QUEUED": QUEUED,
+        "QUEUED_SINCE": QUEUED_SINCE,
         "QUEUED_BY_OWNER": QUEUED_BY_OWNER,
         "LEASES": LEASES,
         "EXPIRY": EXPIRY,

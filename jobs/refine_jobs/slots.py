@@ -15,6 +15,11 @@ class SlotState(OpenEnum):
     BUSY = "busy"
     DRAINING = "draining"
 
+    @property
+    def can_work(self) -> bool:
+        """Whether the slot has a warm engine and does jobs."""
+        return self in (SlotState.IDLE, SlotState.BUSY)
+
 
 class SlotStatus(BaseModel):
     """One worker slot: a process that refines one mesh at a time."""

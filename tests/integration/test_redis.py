@@ -15,6 +15,7 @@ import pytest
 from pydantic import ValidationError
 from redis import Redis
 
+from refine_jobs import keys
 from refine_jobs.edge_store import JobStore
 from refine_jobs.embedded import EmbeddedRedis, EmbeddedRedisError, find_server
 from refine_jobs.health import Health
@@ -25,7 +26,7 @@ from refine_proto.errors import Unavailable
 from refine_proto.models import Refinement
 
 if TYPE_CHECKING:
-    from .conftest import Jobs
+    from .conftest import HandClock, Jobs
 
 
 def test_data_survives_a_restart(tmp_path: Path) -> None:
@@ -140,8 +141,10 @@ def test_health_shows_slots_and_counts(jobs: Jobs) -> None:
             assert second
             jobs.worker.cancelled(first)
             jobs.worker.give_back(second, "it stops")
-            counts = await health.metrics()
-            assert (counts["queued"], counts["running"], counts["jobs:cancelled:"]) == (2, 0, 1)
+            told = await health.installation()
+            assert (told.submitted, told.queued, told.running, told.redis_persists) == (3, 2, 0, True)
+            counts = told.counters
+            assert (counts["jobs:cancelled:"], counts["requeued:returned"]) == (1, 1)
             buckets = [v for name, v in counts.items() if name.startswith("queue_s:") and "sum" not in name]
             assert sum(buckets) == 2
 
@@ -151,6 +154,39 @@ def test_health_shows_slots_and_counts(jobs: Jobs) -> None:
             [newer] = await health.slots()  # of a newer version
             assert (newer.state, newer.state in list(SlotState)) == ("resting", False)
             await client.aclose()
+
+    asyncio.run(scenario())
+
+
+def test_the_delay_of_the_queue_is_that_of_the_job_that_waits_longest(
+    jobs: Jobs, clock: HandClock, redis: Redis
+) -> None:
+    async def scenario() -> None:
+        timed = jobs.with_clock(clock)
+        clock.move(time.time() - clock() / 1000 - 500)  # 500 s ago
+        async with timed.edge() as store, connect_async(jobs.url) as client:
+            health = Health(client)
+
+            async def age_s() -> float:
+                return (await health.installation()).oldest_queued_age_s
+
+            assert await age_s() == 0
+            first, second = [(await timed.submit(store)).refinement.id for _ in range(2)]
+            assert await age_s() == pytest.approx(500, abs=30)
+            clock.move(400)
+            job = timed.worker.claim(first, "slot-0")
+            assert job
+            timed.worker.give_back(job, "it stops")  # in front of the second, which has waited longer
+            assert await age_s() == pytest.approx(500, abs=30)
+            await store.delete("ann", second)
+            assert await age_s() == pytest.approx(100, abs=30)
+            job = timed.worker.claim(first, "slot-0")
+            assert job
+            assert await age_s() == 0
+            assert redis.zcard(keys.QUEUED_SINCE) == 0
+            assert (
+                redis.hget(keys.METRICS, "queue_s:sum_ms") == "400000"
+            )  # nobody waited for the second start
 
     asyncio.run(scenario())
 

@@ -164,5 +164,5 @@ class Hand:
         self.redis.zadd(keys.EXPIRY, {refinement_id: 1})
         assert self.store.expire() == [refinement_id]
 
-    def show_slot(self) -> None:
-        self.store.show(SlotStatus(name="slot-0", device="cpu", state=SlotState.IDLE))
+    def show_slot(self, state: SlotState = SlotState.IDLE) -> None:
+        self.store.show(SlotStatus(name="slot-0", device="cpu", state=state))

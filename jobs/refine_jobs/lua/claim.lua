@@ -3,9 +3,8 @@ local id, slot, lease_ms = unpack(ARGV)
 if field(id, 'state') ~= 'queued' then
   return nil
 end
-if redis.call('HINCRBY', JOB .. id, 'attempt', 1) == 1 then
-  observe('queue_s', NOW - field(id, 'created_ms'))
-end
+redis.call('HINCRBY', JOB .. id, 'attempt', 1)
+observe('queue_s', NOW - (redis.call('ZSCORE', QUEUED_SINCE, id) or field(id, 'created_ms')))
 leave_queue(id)
 redis.call('HSET', JOB .. id, 'slot', slot, 'started_ms', NOW)
 redis.call('ZADD', LEASES, NOW + lease_ms, id)

@@ -26,11 +26,13 @@ end
 
 local function enter_queue(id)
   redis.call('ZADD', QUEUED, field(id, 'number'), id)
+  redis.call('ZADD', QUEUED_SINCE, NOW, id)
   redis.call('HINCRBY', QUEUED_BY_OWNER, field(id, 'owner'), 1)
 end
 
 local function leave_queue(id)
   redis.call('HDEL', MISSING, id)
+  redis.call('ZREM', QUEUED_SINCE, id)
   if redis.call('ZREM', QUEUED, id) == 1 then
     local owner = field(id, 'owner')
     if redis.call('HINCRBY', QUEUED_BY_OWNER, owner, -1) <= 0 then

@@ -19,6 +19,7 @@ elseif lost >= tonumber(max_attempts) then
   redis.call('HSET', JOB .. id, 'error', problem)
   end_job(id, 'failed', 'WORKER_LOST', retention_ms)
 else
+  redis.call('HINCRBY', METRICS, 'requeued:' .. (lost > 0 and 'lost' or 'returned'), 1)
   redis.call('ZREM', LEASES, id)
   redis.call('HDEL', JOB .. id, 'progress', 'started_ms', 'slot')
   enter_queue(id)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from .prometheus import Metrics
 
 COLLECTION = "/v1/refinements"
 _RETRY_S = 5.0  # another replica, or this one restarted
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -45,17 +48,19 @@ class Edge:
             raise Draining("this server is shutting down; send the request again", retry_after_s=_RETRY_S)
 
     async def not_ready(self) -> RefineError | None:
-        """Why calls should go elsewhere, or None."""
+        """Why calls should go elsewhere, or None. Workers do not count: jobs wait for them."""
         try:
             self.check_not_draining()
-            await self.health.check_writable()
-            await asyncio.to_thread(self.blobs.check_writable)
-            if not await self.health.slots():
-                return Unavailable("expected a live worker slot, got none; jobs wait", retry_after_s=_RETRY_S)
-        except RefineError as error:
+        except Draining as error:
             return error
-        except Exception as error:  # whatever the blob store raises
-            return Unavailable(f"the blob store takes no writes: {error}", retry_after_s=_RETRY_S)
+        try:
+            await self.health.check_writable()
+        except Exception as error:
+            return _takes_no_writes("job", error)
+        try:
+            await asyncio.to_thread(self.blobs.check_writable)
+        except Exception as error:
+            return _takes_no_writes("blob", error)
         return None
 
 
@@ -77,6 +82,14 @@ async def open_edge(settings: ServiceSettings, jobs: JobSettings, redis_url: str
         )
     finally:
         await store.close()
+
+
+def _takes_no_writes(store: str, error: Exception) -> Unavailable:
+    """For anybody who asks; what the store itself says, with names and paths, is for the log."""
+    log.warning("the %s store takes no writes: %s", store, error)
+    return Unavailable(
+        f"the {store} store takes no writes; the service's log says why", retry_after_s=_RETRY_S
+    )
 
 
 def with_urls(refinement: Refinement) -> Refinement:

@@ -1,46 +1,44 @@
-"""Prometheus metrics: what this process counts, and what Redis knows of jobs and slots at a scrape."""
+"""Prometheus metrics of this process: what it has counted itself. installation.py has those of all jobs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 
-from prometheus_client import (
-    CollectorRegistry,
-    Counter,
-    Gauge,
-    Histogram,
-    ProcessCollector,
-    generate_latest,
-)
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
-from prometheus_client.registry import Collector
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 
-from refine_jobs import keys
-from refine_jobs.slots import SlotState, SlotStatus
+from refine_jobs.build import register_build
+
+# From a lookup to an event stream of an hour.
+_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 120, 300, 600, 1800, 3600)
 
 
 class Metrics:
     """The counters of one service process; `transport` is rest or grpc."""
 
     def __init__(self) -> None:
-        self.registry = CollectorRegistry()
-        ProcessCollector(registry=self.registry)
+        self._registry = CollectorRegistry()
+        ProcessCollector(registry=self._registry)
+        register_build(self._registry)
         self._calls = Histogram(
             "refine_call_seconds",
             "Calls by their duration; a stream counts when it ends.",
             ["transport", "method", "status"],
-            registry=self.registry,
+            registry=self._registry,
+            buckets=_BUCKETS_S,
         )
         self._received = Counter(
-            "refine_received_bytes", "Bytes of bodies received.", ["transport"], registry=self.registry
+            "refine_received_bytes", "Bytes of bodies received.", ["transport"], registry=self._registry
         )
         self._sent = Counter(
-            "refine_sent_bytes", "Bytes of bodies sent.", ["transport"], registry=self.registry
+            "refine_sent_bytes", "Bytes of bodies sent.", ["transport"], registry=self._registry
         )
         self._watchers = Gauge(
-            "refine_watchers", "Open event streams.", ["transport"], registry=self.registry
+            "refine_watchers", "Open event streams.", ["transport"], registry=self._registry
         )
+        for transport in ("rest", "grpc"):  # there from the start, with 0
+            for metric in (self._received, self._sent, self._watchers):
+                metric.labels(transport)
 
     def observe(self, transport: str, method: str, status: str, seconds: float) -> None:
         """Count one ended call."""
@@ -57,45 +55,6 @@ class Metrics:
         with self._watchers.labels(transport).track_inprogress():
             yield
 
-
-def exposition(metrics: Metrics, counted: Mapping[str, int], slots: Iterable[SlotStatus]) -> bytes:
-    """Everything in Prometheus' text format; `counted` is Health.metrics()."""
-    of_jobs = CollectorRegistry()
-    of_jobs.register(_Jobs(counted, list(slots)))
-    return generate_latest(metrics.registry) + generate_latest(of_jobs)
-
-
-class _Jobs(Collector):
-    """Jobs and slots of the whole installation, the same from every service process."""
-
-    def __init__(self, counted: Mapping[str, int], slots: list[SlotStatus]) -> None:
-        self._counted, self._slots = counted, slots
-
-    def collect(self) -> Iterator[Metric]:
-        yield GaugeMetricFamily("refine_queued_jobs", "Jobs that wait.", self._counted["queued"])
-        yield GaugeMetricFamily("refine_running_jobs", "Jobs that a slot has.", self._counted["running"])
-        yield self._histogram("queue_s", "refine_queue_seconds", "From submission to the start.")
-        yield self._histogram("run_s", "refine_run_seconds", "From the start to the end.")
-        ended = CounterMetricFamily("refine_jobs", "Ended jobs.", labels=["state", "reason"])
-        for name, value in self._counted.items():
-            if name.startswith("jobs:"):
-                _, state, reason = name.split(":")
-                ended.add_metric([state, reason], value)
-        yield ended
-        alive = {slot.state for slot in self._slots}
-        yield self._slot_gauge("refine_slots_live", "Worker slots that are alive.", alive)
-        yield self._slot_gauge("refine_slots_busy", "Worker slots with a job.", {SlotState.BUSY})
-
-    def _histogram(self, counted: str, name: str, text: str) -> Metric:
-        buckets, total = [], 0
-        for bound in [*keys.BUCKETS_S.split(), "inf"]:
-            total += self._counted.get(f"{counted}:{bound}", 0)
-            buckets.append(("+Inf" if bound == "inf" else str(float(bound)), total))
-        seconds = self._counted.get(f"{counted}:sum_ms", 0) / 1000
-        return HistogramMetricFamily(name, text, buckets, seconds)
-
-    def _slot_gauge(self, name: str, text: str, states: set[SlotState]) -> Metric:
-        gauge = GaugeMetricFamily(name, text, labels=["device"])
-        for device in sorted({slot.device for slot in self._slots}):
-            gauge.add_metric([device], sum(s.device == device and s.state in states for s in self._slots))
-        return gauge
+    def exposition(self) -> bytes:
+        """In Prometheus' text format."""
+        return generate_latest(self._registry)

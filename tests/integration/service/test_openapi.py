@@ -120,6 +120,8 @@ def check_operation(operation: APIOperation[Any, Any, Any, Any], service: Servic
 
     def check(case: schemathesis.Case[Any]) -> None:
         case.headers["Prefer"] = "wait=0"
+        if str(case.query.get("slots")).isdecimal():
+            case.query["slots"] = 0  # for more than there are the answer is 503, as told
         case.call_and_validate(base_url=service.rest_url, checks=CHECKS, timeout=30)
 
     def check_meaningful(case: schemathesis.Case[Any]) -> None:

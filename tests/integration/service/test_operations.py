@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import grpc
@@ -18,10 +19,10 @@ import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
 from prometheus_client.parser import text_string_to_metric_families
-from redis import Redis
 from service_process import CAMERA, MESH, PNG, Hand, Service, run_service
 
 from refine_jobs.embedded import EmbeddedRedis
+from refine_jobs.slots import SlotState
 from refine_proto.errors import MeshInvalid, Unavailable
 
 SERVICE = "refine.v1.Refinements"
@@ -42,27 +43,44 @@ def health_of(service: Service, name: str) -> int:
         return int(stub.Check(health_pb2.HealthCheckRequest(service=name)).status)
 
 
-def test_readiness_needs_a_live_slot(service: Service, rest: httpx.Client, hand: Hand) -> None:
-    answer = rest.get("/readyz")
-    assert (answer.status_code, answer.json()["reason"]) == (503, "UNAVAILABLE")
-    assert "worker slot" in answer.json()["detail"]
-    assert answer.headers["Retry-After"]
-    until(lambda: health_of(service, SERVICE) == NOT_SERVING)
+def test_readiness_does_not_hang_on_workers(service: Service, rest: httpx.Client, hand: Hand) -> None:
+    idle = dict.fromkeys(SlotState, 0)
+    assert rest.get("/readyz").json() == {"status": "ready", "slots": idle}
+    assert health_of(service, SERVICE) == health_of(service, "") == SERVING
     hand.show_slot()
-    assert rest.get("/readyz").status_code == 200
-    until(lambda: health_of(service, SERVICE) == health_of(service, "") == SERVING)
+    assert rest.get("/readyz").json()["slots"] == idle | {"idle": 1}
     assert rest.get("/livez").json() == {"status": "live"}
 
 
-def test_readiness_needs_a_blob_store(redis_url: str, redis: Redis, tmp_path: Path) -> None:
+def test_who_asks_for_slots_hears_of_those_that_can_work(rest: httpx.Client, hand: Hand) -> None:
+    def ready(slots: int) -> bool:
+        answer = rest.get("/readyz", params={"slots": slots})
+        assert answer.status_code == 200 or (answer.json()["reason"], answer.headers["Retry-After"]) == (
+            "UNAVAILABLE",
+            "10",
+        )
+        return answer.status_code == 200
+
+    for state in (SlotState.STARTING, SlotState.DRAINING):
+        hand.show_slot(state)
+        assert (ready(0), ready(1)) == (True, False)
+    for state in (SlotState.IDLE, SlotState.BUSY):
+        hand.show_slot(state)
+        assert (ready(1), ready(2)) == (True, False)
+    assert rest.get("/readyz", params={"slots": -1}).status_code == 422
+
+
+def test_readiness_needs_a_blob_store(redis_url: str, tmp_path: Path) -> None:
     with run_service(redis_url, tmp_path) as service, service.rest() as rest:
-        Hand(redis, tmp_path).show_slot()
         assert rest.get("/readyz").status_code == 200
         shutil.rmtree(tmp_path / "blobs")
         (tmp_path / "blobs").write_text("in the way")
         answer = rest.get("/readyz")
         assert answer.status_code == 503
-        assert "blob store" in answer.json()["detail"]
+        assert answer.json()["detail"] == "the blob store takes no writes; the service's log says why"
+        [line] = [line for line in service.log() if "takes no writes" in line["message"]]
+        assert "blobs" in line["message"]  # the path, which is none of a stranger's business
+        until(lambda: health_of(service, SERVICE) == NOT_SERVING)
         with service.client("rest") as client, pytest.raises(Unavailable, match="blob store"):
             client.submit(MESH, PNG, CAMERA, mesh_format="obj")
 
@@ -84,6 +102,15 @@ def test_reflection_is_off_unless_asked_for(redis_url: str, tmp_path: Path) -> N
     assert caught.value.code() is grpc.StatusCode.UNIMPLEMENTED
 
 
+def exposed(rest: httpx.Client, path: str) -> dict[tuple[str, ...], float]:
+    """Values by name and sorted values of the labels."""
+    return {
+        (sample.name, *sorted(sample.labels.values())): sample.value
+        for family in text_string_to_metric_families(rest.get(path).text)
+        for sample in family.samples
+    }
+
+
 def test_metrics(service: Service, rest: httpx.Client, hand: Hand) -> None:
     hand.show_slot()
     with service.client("grpc") as client:
@@ -91,11 +118,8 @@ def test_metrics(service: Service, rest: httpx.Client, hand: Hand) -> None:
     hand.run(sent[0], {})
     hand.store.fail(hand.start(sent[1]), MeshInvalid("expected triangles, got none"))
     hand.start(sent[2])
-    values = {
-        (sample.name, *sorted(sample.labels.values())): sample.value
-        for family in text_string_to_metric_families(rest.get("/metrics").text)
-        for sample in family.samples
-    }
+    values = exposed(rest, "/metrics") | exposed(rest, "/metrics/installation")
+    assert values["refine_submitted_jobs_total",] == 4
     assert values["refine_queued_jobs",] == 1
     assert values["refine_running_jobs",] == 1
     assert values["refine_queue_seconds_count",] == 3
@@ -103,10 +127,39 @@ def test_metrics(service: Service, rest: httpx.Client, hand: Hand) -> None:
     assert values["refine_run_seconds_count",] == 2
     assert values["refine_jobs_total", "", "succeeded"] == 1
     assert values["refine_jobs_total", "MESH_INVALID", "failed"] == 1
-    assert values["refine_slots_live", "cpu"] == 1
-    assert values["refine_slots_busy", "cpu"] == 0
+    assert values["refine_jobs_total", "WORKER_LOST", "failed"] == 0
+    assert values["refine_requeued_jobs_total", "lost"] == 0
+    assert 0 < values["refine_oldest_queued_job_age_seconds",] < 60
+    assert [values["refine_slots", state] for state in SlotState] == [0, 1, 0, 0]
+    assert values["refine_redis_persistence_ok",] == 1
+    assert 0 < values["refine_blob_store_free_bytes",] < values["refine_blob_store_size_bytes",]
+    [build] = [name for name in values if name[0] == "refine_build_info"]
+    assert version("refine-mesh") in build
     assert values["refine_received_bytes_total", "grpc"] > 4 * (len(MESH) + len(PNG))
     assert values["refine_call_seconds_count", "CreateRefinement", "OK", "grpc"] >= 4
+
+
+def test_gauges_stay_where_there_is_no_worker_and_no_job(rest: httpx.Client) -> None:
+    values = exposed(rest, "/metrics/installation")
+    for name in ("refine_queued_jobs", "refine_running_jobs", "refine_oldest_queued_job_age_seconds"):
+        assert values[name,] == 0
+    assert [values["refine_slots", state] for state in SlotState] == [0] * len(SlotState)
+
+
+def test_the_metrics_of_a_process_tell_nothing_of_the_installation(rest: httpx.Client) -> None:
+    """So that a sum over processes counts no job twice."""
+    process = {name for name, *_ in exposed(rest, "/metrics")}
+    installation = {name for name, *_ in exposed(rest, "/metrics/installation")}
+    assert not process & installation
+    assert not [name for name in process if "jobs" in name or "slots" in name]
+
+
+@pytest.mark.skipif(not shutil.which("promtool"), reason="promtool is not installed (Debian: prometheus)")
+@pytest.mark.parametrize("path", ["/metrics", "/metrics/installation"])
+def test_promtool_has_nothing_to_say(rest: httpx.Client, path: str) -> None:
+    command = ["promtool", "check", "metrics"]
+    told = subprocess.run(command, input=rest.get(path).text, capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stdout + told.stderr) == (0, "")
 
 
 def test_log_lines_carry_the_ids(service: Service, rest: httpx.Client) -> None:
@@ -135,13 +188,18 @@ def test_redis_goes_and_comes_back(tmp_path: Path) -> None:
             with service.client("rest") as client:
                 refinement_id = client.submit(MESH, PNG, CAMERA, mesh_format="obj").id
             server.stop()
-            for path in ("/v1/refinements", f"/v1/refinements/{refinement_id}", "/readyz", "/metrics"):
+            for path in (
+                "/v1/refinements",
+                f"/v1/refinements/{refinement_id}",
+                "/readyz",
+                "/metrics/installation",
+            ):
                 answer = rest.get(path)
                 assert (answer.status_code, answer.json()["reason"]) == (503, "UNAVAILABLE")
                 assert answer.headers["Retry-After"]
             with service.client("grpc") as client, pytest.raises(Unavailable):
                 client.submit(MESH, PNG, CAMERA, mesh_format="obj")
-            assert rest.get("/livez").status_code == 200
+            assert rest.get("/livez").status_code == rest.get("/metrics").status_code == 200
             assert service.stop() == 0
 
 
