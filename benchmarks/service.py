@@ -1,7 +1,7 @@
-"""Numbers of the service on this machine: python benchmarks/service.py [submit watch memory overhead]
+"""Numbers of the service on this machine: python benchmarks/service.py [submit watch memory overhead redis]
 
-Starts a Redis, a service and, for `overhead`, a worker of its own in a temporary folder. Prints one line per
-number; what they should be is in docs/operating.md.
+Starts a Redis, a service and, for `overhead` and `redis`, a worker of its own in a temporary folder. Prints
+one line per number; what they should be is in docs/operating.md.
 """
 
 from __future__ import annotations
@@ -210,39 +210,78 @@ def memory(service: Installation) -> None:
 # ---- overhead ----
 
 
+@contextmanager
+def one_slot(service: Installation) -> Iterator[None]:
+    """A worker with one slot while inside."""
+    values = {**environment(service.redis_url, service.folder), "REFINE_SLOTS_PER_DEVICE": "1"}
+    with (service.folder / "worker.log").open("w") as log:
+        worker = subprocess.Popen([sys.executable, "-m", "refine_worker"], env=values, stdout=log, stderr=log)
+        try:
+            yield
+        finally:
+            worker.terminate()
+            worker.wait()
+
+
 def overhead(service: Installation, jobs: int = 10) -> None:
     """What a job of 20 iterations takes beyond the engine's own time, on a warm slot."""
     if importlib.util.find_spec("refine_worker") is None:
         print("overhead: not measured, refine_worker is not installed")
         return
-    values = {**environment(service.redis_url, service.folder), "REFINE_SLOTS_PER_DEVICE": "1"}
-    log = (service.folder / "worker.log").open("w")
-    worker = subprocess.Popen([sys.executable, "-m", "refine_worker"], env=values, stdout=log, stderr=log)
     spans: dict[str, list[float]] = {"in all": [], "until the start": [], "worker": [], "edge and client": []}
-    try:
-        with RefineClient(service.rest) as client:
-            for number in range(jobs + 1):
-                started = time.perf_counter()
-                sent = client.submit(SAMPLE / "coarse.obj", SILHOUETTE, CAMERA, {"iterations": 20})
-                ended = client.wait(sent.id, timeout_s=600)
-                took = time.perf_counter() - started
-                assert ended.state is State.SUCCEEDED, ended.error
-                assert ended.started_at is not None
-                assert ended.finished_at is not None
-                files = client.download(sent.id, service.folder / sent.id, names=["report.json"])
-                engine_s = json.loads(files["report.json"].read_text())["seconds"]
-                queued_s = (ended.started_at - ended.created_at).total_seconds()
-                run_s = (ended.finished_at - ended.started_at).total_seconds()
-                values_s = (took - engine_s, queued_s, run_s - engine_s, took - queued_s - run_s)
-                for span, seconds in zip(spans.values(), values_s, strict=True):
-                    if number:  # the first pays the start of the worker
-                        span.append(seconds)
-    finally:
-        worker.terminate()
-        worker.wait()
-        log.close()
+    with one_slot(service), RefineClient(service.rest) as client:
+        for number in range(jobs + 1):
+            started = time.perf_counter()
+            sent = client.submit(SAMPLE / "coarse.obj", SILHOUETTE, CAMERA, {"iterations": 20})
+            ended = client.wait(sent.id, timeout_s=600)
+            took = time.perf_counter() - started
+            assert ended.state is State.SUCCEEDED, ended.error
+            assert ended.started_at is not None
+            assert ended.finished_at is not None
+            files = client.download(sent.id, service.folder / sent.id, names=["report.json"])
+            engine_s = json.loads(files["report.json"].read_text())["seconds"]
+            queued_s = (ended.started_at - ended.created_at).total_seconds()
+            run_s = (ended.finished_at - ended.started_at).total_seconds()
+            values_s = (took - engine_s, queued_s, run_s - engine_s, took - queued_s - run_s)
+            for span, seconds in zip(spans.values(), values_s, strict=True):
+                if number:  # the first pays the start of the worker
+                    span.append(seconds)
     medians = ", ".join(f"{name} {1000 * statistics.median(span):.0f} ms" for name, span in spans.items())
     print(f"overhead beyond the engine's own time, medians of {jobs} jobs: {medians}")
+
+
+# ---- Redis ----
+
+
+def redis_cost(service: Installation, jobs: int = 10) -> None:
+    """Memory that an ended job keeps until it expires, and commands from submission to end."""
+    with one_slot(service), connect(service.redis_url) as redis, RefineClient(service.rest) as client:
+
+        def run() -> None:
+            sent = client.submit(SAMPLE / "coarse.obj", SILHOUETTE, CAMERA, {"preset": "fast"})
+            assert client.wait(sent.id, timeout_s=600).state is State.SUCCEEDED
+
+        def calls() -> int:  # with those inside scripts
+            return sum(int(command["calls"]) for command in redis.info("commandstats").values())
+
+        run()  # pays the start of the worker
+        time.sleep(2 * keys.SLOT_S)
+        before, idle = calls(), time.monotonic()
+        time.sleep(keys.SLOT_S)
+        idle_per_s = (calls() - before) / (time.monotonic() - idle)
+        memory, before, started = redis.info("memory")["used_memory"], calls(), time.monotonic()
+        for _ in range(jobs):
+            run()
+        took = time.monotonic() - started
+        counted = calls() - before - idle_per_s * took
+        grown = redis.info("memory")["used_memory"] - memory
+        largest = sorted(
+            (int(redis.memory_usage(key) or 0), key.rstrip("0123456789abcdef-")) for key in redis.scan_iter()
+        )
+    print(
+        f"redis: {grown / jobs / 1e3:.1f} kB and {counted / jobs:.0f} commands per job of {took / jobs:.1f} s"
+    )
+    print(f"redis: {idle_per_s:.1f} commands per second without jobs; largest keys {largest[-3:]}")
 
 
 MEASURES: dict[str, Callable[[Installation], None]] = {
@@ -250,6 +289,7 @@ MEASURES: dict[str, Callable[[Installation], None]] = {
     "watch": lambda service: asyncio.run(watch(service)),
     "memory": memory,
     "overhead": overhead,
+    "redis": redis_cost,
 }
 
 
