@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import socket
 import subprocess
 import time
@@ -88,6 +89,8 @@ def prometheus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Clien
         finally:
             process.terminate()
             process.wait(30)
+            served.process.send_signal(signal.SIGINT)  # so that its Redis ends too
+            served.process.wait(90)
 
 
 @pytest.mark.parametrize("panel", PANELS, ids=lambda panel: panel["title"])
