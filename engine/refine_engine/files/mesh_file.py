@@ -114,8 +114,7 @@ class MeshFile:
             CONFIDENCE: confidence.detach().cpu().numpy().astype("<f4")[:, None],
             "faces": shown,
         }
-        matte = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
-        return mesh_document([part], matte).to_glb()
+        return mesh_document([part]).to_glb()
 
     def _moved(self, vertices: Tensor) -> Floats:
         """New world positions (V, 3) in float64: the file's own positions plus what the optimisation moved
@@ -147,12 +146,12 @@ def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> Me
     """
     with refused_as(MeshInvalid):
         kind = recognise_mesh(data, name)
+    left_out: tuple[str, ...] = ()
     with _malformed(kind):
-        document = (
-            gltf.parse(data)
-            if kind in (MeshFormat.GLB, MeshFormat.GLTF)
-            else read_polygons(data, kind, limits)
-        )
+        if kind in (MeshFormat.GLB, MeshFormat.GLTF):
+            document = gltf.parse(data)
+        else:
+            document, left_out = read_polygons(data, kind, limits)
         scene = read_scene(document, limits)
         overwritable = overwritable_accessors(document, {placement.node for placement in scene.placements})
     positions = scene.world_positions()
@@ -161,7 +160,7 @@ def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> Me
         raise MeshInvalid(f"expected triangles with an area, got {len(scene.faces)} whose corners coincide")
     limits.check_welded(len(welded.source_of))
     vertices = torch.from_numpy(positions[welded.source_of].astype(np.float32))
-    warnings = list(scene.warnings)
+    warnings = [*left_out, *scene.warnings]
     if dropped := len(scene.faces) - len(welded.faces):
         warnings.append(
             f"{dropped} of {len(scene.faces)} triangles have corners that coincide and were left out"
