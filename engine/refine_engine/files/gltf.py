@@ -29,6 +29,7 @@ _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_MAX_VALUES = 1_000_000  # of the JSON: each costs up to a few hundred bytes, however few it has in the file
 _MAX_DEPTH = 100  # of the JSON: far below where Python's recursion ends, on reading, copying or writing
 # What hides or multiplies geometry. Any other extension is left as it is.
 _REFUSED = {
@@ -84,6 +85,10 @@ class Document:
         if "bufferView" in accessor:
             elements = self._view(accessor, dtype, components, count).copy()
         else:
+            if count > len(self.binary):  # what the file does not hold must not cost more than what it holds
+                raise MeshInvalid(
+                    f"malformed glTF: {count} elements without data in a buffer of {len(self.binary)} bytes"
+                )
             elements = np.zeros((count, components), dtype)
         if sparse := accessor.get("sparse"):
             changes = natural(sparse, "count")
@@ -199,6 +204,8 @@ def _parse_json(text: bytes) -> Json:
             raise ValueError(f"expected a number within the range of float64, got {number[:40]}")
         return value
 
+    if sum(text.count(mark) for mark in (b",", b"[", b"{")) > _MAX_VALUES:
+        raise MeshInvalid(f"expected at most {_MAX_VALUES} values in the JSON of the glTF, got more")
     try:
         document = json.loads(text.decode("utf-8-sig"), parse_float=finite, parse_constant=finite)
     except (ValueError, RecursionError) as error:
@@ -207,7 +214,7 @@ def _parse_json(text: bytes) -> Json:
         raise MeshInvalid("malformed glTF: expected a JSON object with an asset")
     if _is_deep(document):
         raise MeshInvalid(f"expected at most {_MAX_DEPTH} levels of arrays and objects in the glTF, got more")
-    if not str(document["asset"].get("version", "")).startswith("2."):
+    if str(document["asset"].get("version", "")).partition(".")[0] != "2":
         raise FormatUnsupported(f"expected glTF version 2.0, got {document['asset'].get('version')!r:.20}")
     return document
 
@@ -220,8 +227,19 @@ def _is_deep(document: Json) -> bool:
     return bool(level)
 
 
+def _extensions_in_use(document: Json) -> Iterator[str]:
+    """What the data is stored with; `extensionsUsed` alone names what may long be undone."""
+    yield from document.get("extensionsRequired", [])
+    for mesh in document.get("meshes", []):
+        for primitive in mesh.get("primitives", []):
+            yield from primitive.get("extensions", {})
+    for kind in ("bufferViews", "nodes"):
+        for item in document.get(kind, []):
+            yield from item.get("extensions", {})
+
+
 def _refuse_unsupported(document: Json) -> None:
-    for name in [*document.get("extensionsRequired", []), *document.get("extensionsUsed", [])]:
+    for name in _extensions_in_use(document):
         if name in _REFUSED:
             raise FormatUnsupported(f"{_REFUSED[name]} ({name}) is not supported; export the mesh without it")
     for kind in ("buffers", "images"):
