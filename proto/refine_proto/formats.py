@@ -32,10 +32,11 @@ class MeshFormat(StrEnum):
     PLY = "ply"
     STL = "stl"
     OFF = "off"
+    ZIP = "zip"  # one of the others with the files that it refers to
 
 
 MESH_SUFFIXES = tuple(f".{name}" for name in MeshFormat)
-GLB_MAGIC = b"glTF"
+GLB_MAGIC, ZIP_MAGIC = b"glTF", b"PK\3\4"
 _OFF_MAGIC = re.compile(rb"\s*(ST|C|N|4|n)*OFF[\s\d#]")
 _OBJ_TEXT = re.compile(rb"^[ \t]*v[ \t]+[-+.\d]+[ \t]+[-+.\d]+[ \t]+[-+.\d]+", re.MULTILINE)
 _WITHOUT_MAGIC = (MeshFormat.OBJ, MeshFormat.STL, MeshFormat.OFF)  # comments may precede OFF's
@@ -58,6 +59,8 @@ def recognise_mesh(head: bytes, name: str | None = None, given: MeshFormat | Non
     start = head[:HEAD_BYTES].removeprefix(b"\xef\xbb\xbf")
     if start.startswith(GLB_MAGIC):
         return MeshFormat.GLB
+    if start.startswith(ZIP_MAGIC):
+        return MeshFormat.ZIP
     if start.lstrip().startswith(b"{"):
         return MeshFormat.GLTF
     if re.match(rb"ply\s", start):

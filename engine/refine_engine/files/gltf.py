@@ -14,6 +14,7 @@ import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from refine_proto.formats import GLB_MAGIC
 
 from ..errors import FormatUnsupported, MeshInvalid
+from .beside import Beside
 
 Json = dict[str, Any]
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -30,6 +32,7 @@ _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 _MAX_VALUES = 1_000_000  # of the JSON: each costs up to a few hundred bytes, however few it has in the file
+_MAX_EMBEDDED = 512 << 20  # bytes of the files that a glTF refers to, each as often as it does
 _MAX_DEPTH = 100  # of the JSON: far below where Python's recursion ends, on reading, copying or writing
 # What hides or multiplies geometry. Any other extension is left as it is.
 _REFUSED = {
@@ -160,8 +163,8 @@ class Document:
         return struct.pack("<4sII", GLB_MAGIC, 2, 12 + len(body)) + body
 
 
-def parse(data: bytes) -> Document:
-    """Read a GLB, or a glTF whose buffers are `data:` URIs."""
+def parse(data: bytes, beside: Beside | None = None) -> Document:
+    """Read a GLB or a glTF. Files that it refers to come from `beside`, and become part of the document."""
     chunks = list(_glb_chunks(data)) if data[:4] == GLB_MAGIC else [(_JSON_CHUNK, data)]
     if not chunks or chunks[0][0] != _JSON_CHUNK:
         raise MeshInvalid("malformed GLB: expected its first chunk to be JSON")
@@ -169,6 +172,7 @@ def parse(data: bytes) -> Document:
     has_binary = len(chunks) > 1 and chunks[1][0] == _BINARY_CHUNK
     rest = b"".join(struct.pack("<II", len(body), kind) + body for kind, body in chunks[1 + has_binary :])
     _refuse_unsupported(document)
+    _embed_files(document, beside or (lambda uri: None))
     return Document(document, _join_buffers(document, chunks[1][1] if has_binary else None), rest)
 
 
@@ -242,13 +246,28 @@ def _refuse_unsupported(document: Json) -> None:
     for name in _extensions_in_use(document):
         if name in _REFUSED:
             raise FormatUnsupported(f"{_REFUSED[name]} ({name}) is not supported; export the mesh without it")
+
+
+def _embed_files(document: Json, beside: Beside) -> None:
+    """Every reference to an outside file as a `data:` URI."""
+    total = 0
     for kind in ("buffers", "images"):
         for item in document.get(kind, []):
             uri = item.get("uri")
-            if uri is not None and not str(uri).startswith("data:"):
+            if uri is None or str(uri).startswith("data:"):
+                continue
+            content = beside(str(uri))
+            if content is None:
                 raise FormatUnsupported(
-                    f"expected embedded data, got a reference to the outside file {uri!r:.60}; export as .glb"
+                    f"expected embedded data, got the outside file {uri!r:.60}; export as .glb, "
+                    "put it beside the mesh, or send both in a .zip"
                 )
+            if (total := total + len(content)) > _MAX_EMBEDDED:
+                raise MeshInvalid(f"expected at most {_MAX_EMBEDDED} bytes in the files of a glTF, got more")
+            media = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp", ".png": "image/png"}
+            suffix = PurePosixPath(str(uri)).suffix.lower()
+            kind_of_data = media.get(suffix, "application/octet-stream")
+            item["uri"] = f"data:{kind_of_data};base64,{base64.b64encode(content).decode()}"
 
 
 def _join_buffers(document: Json, chunk: bytes | None) -> bytearray:

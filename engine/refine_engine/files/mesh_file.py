@@ -20,6 +20,7 @@ from refine_proto.formats import MeshFormat, recognise_mesh
 from ..errors import MeshInvalid
 from ..values import Mesh
 from . import gltf
+from .beside import Beside, open_archive
 from .gltf_edit import CONFIDENCE, keep_triangles, move_vertices, overwritable_accessors
 from .gltf_geometry import SceneGeometry, read_scene, triangle_primitives
 from .limits import MeshLimits, one_line, refused_as
@@ -138,18 +139,24 @@ def _row_number(rows: Ints, width: int) -> Ints:
     return (rows[:, 0] * width + rows[:, 1]) * width + rows[:, 2]
 
 
-def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> MeshFile:
-    """Read a GLB, glTF (embedded data), OBJ, PLY, STL or OFF file.
+def read_mesh(
+    data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS, beside: Beside | None = None
+) -> MeshFile:
+    """Read a GLB, glTF, OBJ, PLY, STL or OFF file, or a ZIP archive of one and the files that it refers to.
 
-    The format is decided by the content where it can be, else by the suffix of `name`.
+    The format is decided by the content where it can be, else by the suffix of `name`. `beside` gives the
+    files that a mesh refers to; without it only embedded data is read.
     Raises FormatUnsupported or MeshInvalid.
     """
     with refused_as(MeshInvalid):
-        kind = recognise_mesh(data, name)
+        if (kind := recognise_mesh(data, name)) is MeshFormat.ZIP:
+            name, data, beside = open_archive(data)
+            if (kind := recognise_mesh(data, name)) is MeshFormat.ZIP:
+                raise MeshInvalid(f"expected a mesh file in the archive, got another archive {name!r:.60}")
     left_out: tuple[str, ...] = ()
     with _malformed(kind):
         if kind in (MeshFormat.GLB, MeshFormat.GLTF):
-            document = gltf.parse(data)
+            document = gltf.parse(data, beside)
         else:
             document, left_out = read_polygons(data, kind, limits)
         scene = read_scene(document, limits)
