@@ -263,3 +263,12 @@ def test_reported_colours_are_kept_or_told(tools: Any) -> None:
         assert file.warnings or kept & {"COLOR_0", "TEXCOORD_0"}, path.name
         if "colour" in path.name or "coff" in path.name or "diffuse" in path.name:
             assert "COLOR_0" in kept, path.name
+
+
+def test_the_reported_stray_fragments_do_not_set_the_box() -> None:
+    files = [SHARED / "12-stray-fragment" / f"fragment_at_{distance}.ply" for distance in (8, 30)]
+    if not files[0].is_file():
+        pytest.skip(f"no {files[0]}")
+    for path in files:
+        low, high = read_mesh(path.read_bytes(), path.name).mesh.box()
+        assert float((high - low).max()) == pytest.approx(1.0)
