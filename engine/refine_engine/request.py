@@ -12,6 +12,7 @@ from refine_proto.formats import SILHOUETTE_THRESHOLD
 
 from .cameras.in_view import check_in_view
 from .cameras.spec import camera_from_spec
+from .files.beside import Beside
 from .files.limits import MeshLimits
 from .files.mesh_file import MeshFile, read_mesh
 from .files.png import read_silhouette
@@ -50,13 +51,15 @@ def read_inputs(
     camera: CameraSpec,
     silhouette_threshold: float = SILHOUETTE_THRESHOLD,
     limits: MeshLimits = MeshLimits(),
+    beside: Beside | None = None,
 ) -> Inputs:
     """Read a mesh file and a silhouette image, for a camera as `read_camera` gives it.
 
-    `mesh_name` matters for its suffix where the bytes do not tell the format. Raises an InputError: the mesh,
+    `mesh_name` matters for its suffix where the bytes do not tell the format; `beside` gives
+    the files that the mesh refers to. Raises an InputError: the mesh,
     the silhouette or the camera is invalid, or the camera does not see the mesh.
     """
-    mesh_file = read_mesh(mesh, mesh_name, limits)
+    mesh_file = read_mesh(mesh, mesh_name, limits, beside)
     view = read_view(silhouette, camera, silhouette_threshold)
     doubt = check_in_view(mesh_file.mesh, view, camera)
     return Inputs(mesh_file, (view,), (*mesh_file.warnings, *([doubt] if doubt else [])))

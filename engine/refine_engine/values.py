@@ -20,6 +20,9 @@ Projection = Literal["perspective", "orthographic"]
 RIGID = 4e-3  # of R R^T - I: what is within 1e-3, as the contract asks, still is once transposed or inverted
 
 
+STRAY = 4.0  # times the span of 99 % of the surface, per axis
+
+
 @dataclass(frozen=True)
 class Mesh:
     """A triangle mesh. It may be open, non-manifold, badly wound or in several pieces."""
@@ -44,6 +47,33 @@ class Mesh:
         used = v[f.unique()]
         if float((used.amax(0) - used.amin(0)).max()) <= 0.0:
             raise MeshInvalid("expected an object with a size, got one whose vertices all coincide")
+
+    def box(self) -> tuple[Tensor, Tensor]:
+        """Lowest and highest corner (3,) of the bounding box of the triangles.
+
+        Where fragments stretch it beyond STRAY times what nearly all of the surface spans, they are left
+        out: a crumb far away must not make the object a point.
+        """
+        used = self.vertices[self.faces.unique()]
+        low, high = used.amin(0), used.amax(0)
+        corners = self.vertices[self.faces].double()
+        a, b, c = corners.unbind(1)
+        area = torch.linalg.cross(b - a, c - a).norm(dim=1)
+        middle = corners.mean(1)
+        order = middle.argsort(0)
+        share = area[order].cumsum(0) / area.sum().clamp_min(1e-300)
+        inner = ((share > 0.005) & (share < 0.995)).to(torch.int64)
+        if not inner.any(0).all():
+            return low, high
+        first, last = inner.argmax(0), len(inner) - 1 - inner.flip(0).argmax(0)
+        ordered = middle.gather(0, order)
+        core_low, core_high = (ordered.gather(0, rank[None])[0] for rank in (first, last))
+        core = (core_high - core_low).max()
+        if core <= 0.0 or (high - low).max() <= STRAY * core:
+            return low, high
+        near = ((middle >= core_low - core) & (middle <= core_high + core)).all(1)
+        kept = self.vertices[self.faces[near].unique()]
+        return kept.amin(0), kept.amax(0)
 
     def to(self, device: torch.device | str) -> Mesh:
         """This mesh on a device."""

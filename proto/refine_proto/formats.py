@@ -32,11 +32,13 @@ class MeshFormat(StrEnum):
     PLY = "ply"
     STL = "stl"
     OFF = "off"
+    ZIP = "zip"  # one of the others with the files that it refers to
 
 
 MESH_SUFFIXES = tuple(f".{name}" for name in MeshFormat)
-GLB_MAGIC = b"glTF"
+GLB_MAGIC, ZIP_MAGIC = b"glTF", b"PK\3\4"
 _OFF_MAGIC = re.compile(rb"\s*(ST|C|N|4|n)*OFF[\s\d#]")
+_OBJ_TEXT = re.compile(rb"^[ \t]*v[ \t]+[-+.\d]+[ \t]+[-+.\d]+[ \t]+[-+.\d]+", re.MULTILINE)
 _WITHOUT_MAGIC = (MeshFormat.OBJ, MeshFormat.STL, MeshFormat.OFF)  # comments may precede OFF's
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -57,6 +59,8 @@ def recognise_mesh(head: bytes, name: str | None = None, given: MeshFormat | Non
     start = head[:HEAD_BYTES].removeprefix(b"\xef\xbb\xbf")
     if start.startswith(GLB_MAGIC):
         return MeshFormat.GLB
+    if start.startswith(ZIP_MAGIC):
+        return MeshFormat.ZIP
     if start.lstrip().startswith(b"{"):
         return MeshFormat.GLTF
     if re.match(rb"ply\s", start):
@@ -68,7 +72,12 @@ def recognise_mesh(head: bytes, name: str | None = None, given: MeshFormat | Non
         return called
     if called is not None:
         source = "as was said" if given else f"by the name {name!r:.60}"
-        raise Damaged(f"expected a {called.upper()} file {source}, got {head[:8]!r} at its start")
+        found = (
+            "the text of an OBJ file; call it .obj"
+            if _OBJ_TEXT.search(start)
+            else f"{head[:8]!r} at its start"
+        )
+        raise Damaged(f"expected a {called.upper()} file {source}, got {found}")
     file = f"{name!r:.60}" if name else "a file"
     raise Unsupported(
         f"expected a mesh file ({', '.join(MESH_SUFFIXES)}), got {file} with unknown content; if it is one, "

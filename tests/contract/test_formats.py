@@ -56,6 +56,7 @@ def test_a_suffix_stands_for_a_format() -> None:
 BAD_MESHES = [
     (b"", "a.glb", "MESH_INVALID", "empty file"),
     (b"plymouth", "a.ply", "MESH_INVALID", r"expected a PLY file by the name 'a.ply', got b'plymouth'"),
+    (b"# made by X\nv 0 1.5 -2\n", "a.glb", "MESH_INVALID", "got the text of an OBJ file; call it .obj"),
     (b"\0\1", "a.fbx", "FORMAT_UNSUPPORTED", r"\.glb, \.gltf, \.obj.*got 'a.fbx' with unknown content"),
     (b"\0\1", "", "FORMAT_UNSUPPORTED", "got a file with unknown content"),
 ]

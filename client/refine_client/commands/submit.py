@@ -69,7 +69,7 @@ def submit_parser() -> Parser:
     parser = make_parser(
         "submit", "Send a mesh, its silhouette and the camera to a server and print the id.", EXAMPLE
     )
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL, OFF, or a ZIP")
     parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
     parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="see below")
     parser.add_argument("--wait", action="store_true", help="follow it to its end, with a progress bar")

@@ -24,7 +24,7 @@ from ..request import Inputs
 from ..values import Mesh, Result
 from .pictures import draw_confidence, draw_preview, drawn_camera, drawn_silhouette
 
-_VERSIONED = ("refine-mesh", "torch", "numpy", "scipy", "numba", "trimesh", "pillow")
+_VERSIONED = ("refine-mesh", "torch", "numpy", "scipy", "numba", "pillow")
 
 
 def make_artifacts(inputs: Inputs, result: Result, config: RefineConfig) -> dict[str, bytes]:

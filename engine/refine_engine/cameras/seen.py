@@ -1,6 +1,6 @@
 """This mesh seen by these cameras: the one hard render behind the 2D IoU, the pictures and the camera checks.
 
-The mesh is drawn in the unit frame, its bounding box at the origin with a longest side of 1 and the cameras
+The mesh is drawn in the unit frame, `Mesh.box` at the origin with a longest side of 1 and the cameras
 moved along. So a scene in millimetres looks as the same scene in kilometres does: the renderer's least depth
 is a length of the unit frame.
 """
@@ -24,8 +24,7 @@ def seen_by(mesh: Mesh, cameras: Sequence[Camera], size: tuple[int, int] | None 
     """
     first = cameras[0]
     height, width = size or (first.height, first.width)
-    used = mesh.vertices[mesh.faces.unique()]
-    low, high = used.amin(0), used.amax(0)
+    low, high = mesh.box()
     centre, scale = (low + high) / 2, float((high - low).max())
     matrices = torch.stack([camera.world_to_camera.to(mesh.vertices) for camera in cameras])
     matrices[:, :3, 3] = (matrices[:, :3, :3] @ centre + matrices[:, :3, 3]) / scale

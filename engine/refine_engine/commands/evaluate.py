@@ -136,9 +136,10 @@ def _positive(text: str) -> int:
 
 
 def _read_mesh(path: Path) -> Mesh:
+    from ..files.beside import in_folder_of
     from ..files.mesh_file import read_mesh
 
-    return read_mesh(path.read_bytes(), path.name).mesh
+    return read_mesh(path.read_bytes(), path.name, beside=in_folder_of(path)).mesh
 
 
 def _read_view(camera: Path, silhouette: Path) -> View:

@@ -22,6 +22,7 @@ from ..artifacts.make import make_artifacts
 from ..cameras.spec import read_camera
 from ..contract import config_of
 from ..errors import InputError, OptionsInvalid, RefineError
+from ..files.beside import in_folder_of
 from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
 from ..request import Inputs, read_inputs
@@ -61,7 +62,7 @@ def run_parser() -> Parser:
         description="Refine a coarse mesh so that it agrees with its silhouette and stays plausible.",
         epilog="`refine docs conventions` explains cameras, silhouettes and units.",
     )
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL, OFF, or a ZIP")
     parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
     parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="for the artifacts")
@@ -91,6 +92,7 @@ def _run(arguments: argparse.Namespace) -> None:
         _read(arguments.silhouette),
         read_camera(_read(arguments.camera)),
         options.silhouette_threshold,
+        beside=in_folder_of(arguments.mesh),
     )
     display = choose_display(arguments.json)
     with display:

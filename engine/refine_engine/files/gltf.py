@@ -14,6 +14,7 @@ import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from refine_proto.formats import GLB_MAGIC
 
 from ..errors import FormatUnsupported, MeshInvalid
+from .beside import Beside
 
 Json = dict[str, Any]
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -29,6 +31,8 @@ _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_MAX_VALUES = 1_000_000  # of the JSON: each costs up to a few hundred bytes, however few it has in the file
+_MAX_EMBEDDED = 512 << 20  # bytes of the files that a glTF refers to, each as often as it does
 _MAX_DEPTH = 100  # of the JSON: far below where Python's recursion ends, on reading, copying or writing
 # What hides or multiplies geometry. Any other extension is left as it is.
 _REFUSED = {
@@ -84,6 +88,10 @@ class Document:
         if "bufferView" in accessor:
             elements = self._view(accessor, dtype, components, count).copy()
         else:
+            if count > len(self.binary):  # what the file does not hold must not cost more than what it holds
+                raise MeshInvalid(
+                    f"malformed glTF: {count} elements without data in a buffer of {len(self.binary)} bytes"
+                )
             elements = np.zeros((count, components), dtype)
         if sparse := accessor.get("sparse"):
             changes = natural(sparse, "count")
@@ -155,8 +163,8 @@ class Document:
         return struct.pack("<4sII", GLB_MAGIC, 2, 12 + len(body)) + body
 
 
-def parse(data: bytes) -> Document:
-    """Read a GLB, or a glTF whose buffers are `data:` URIs."""
+def parse(data: bytes, beside: Beside | None = None) -> Document:
+    """Read a GLB or a glTF. Files that it refers to come from `beside`, and become part of the document."""
     chunks = list(_glb_chunks(data)) if data[:4] == GLB_MAGIC else [(_JSON_CHUNK, data)]
     if not chunks or chunks[0][0] != _JSON_CHUNK:
         raise MeshInvalid("malformed GLB: expected its first chunk to be JSON")
@@ -164,6 +172,7 @@ def parse(data: bytes) -> Document:
     has_binary = len(chunks) > 1 and chunks[1][0] == _BINARY_CHUNK
     rest = b"".join(struct.pack("<II", len(body), kind) + body for kind, body in chunks[1 + has_binary :])
     _refuse_unsupported(document)
+    _embed_files(document, beside or (lambda uri: None))
     return Document(document, _join_buffers(document, chunks[1][1] if has_binary else None), rest)
 
 
@@ -199,6 +208,8 @@ def _parse_json(text: bytes) -> Json:
             raise ValueError(f"expected a number within the range of float64, got {number[:40]}")
         return value
 
+    if sum(text.count(mark) for mark in (b",", b"[", b"{")) > _MAX_VALUES:
+        raise MeshInvalid(f"expected at most {_MAX_VALUES} values in the JSON of the glTF, got more")
     try:
         document = json.loads(text.decode("utf-8-sig"), parse_float=finite, parse_constant=finite)
     except (ValueError, RecursionError) as error:
@@ -207,7 +218,7 @@ def _parse_json(text: bytes) -> Json:
         raise MeshInvalid("malformed glTF: expected a JSON object with an asset")
     if _is_deep(document):
         raise MeshInvalid(f"expected at most {_MAX_DEPTH} levels of arrays and objects in the glTF, got more")
-    if not str(document["asset"].get("version", "")).startswith("2."):
+    if str(document["asset"].get("version", "")).partition(".")[0] != "2":
         raise FormatUnsupported(f"expected glTF version 2.0, got {document['asset'].get('version')!r:.20}")
     return document
 
@@ -220,17 +231,43 @@ def _is_deep(document: Json) -> bool:
     return bool(level)
 
 
+def _extensions_in_use(document: Json) -> Iterator[str]:
+    """What the data is stored with; `extensionsUsed` alone names what may long be undone."""
+    yield from document.get("extensionsRequired", [])
+    for mesh in document.get("meshes", []):
+        for primitive in mesh.get("primitives", []):
+            yield from primitive.get("extensions", {})
+    for kind in ("bufferViews", "nodes"):
+        for item in document.get(kind, []):
+            yield from item.get("extensions", {})
+
+
 def _refuse_unsupported(document: Json) -> None:
-    for name in [*document.get("extensionsRequired", []), *document.get("extensionsUsed", [])]:
+    for name in _extensions_in_use(document):
         if name in _REFUSED:
             raise FormatUnsupported(f"{_REFUSED[name]} ({name}) is not supported; export the mesh without it")
+
+
+def _embed_files(document: Json, beside: Beside) -> None:
+    """Every reference to an outside file as a `data:` URI."""
+    total = 0
     for kind in ("buffers", "images"):
         for item in document.get(kind, []):
             uri = item.get("uri")
-            if uri is not None and not str(uri).startswith("data:"):
+            if uri is None or str(uri).startswith("data:"):
+                continue
+            content = beside(str(uri))
+            if content is None:
                 raise FormatUnsupported(
-                    f"expected embedded data, got a reference to the outside file {uri!r:.60}; export as .glb"
+                    f"expected embedded data, got the outside file {uri!r:.60}; export as .glb, "
+                    "put it beside the mesh, or send both in a .zip"
                 )
+            if (total := total + len(content)) > _MAX_EMBEDDED:
+                raise MeshInvalid(f"expected at most {_MAX_EMBEDDED} bytes in the files of a glTF, got more")
+            media = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp", ".png": "image/png"}
+            suffix = PurePosixPath(str(uri)).suffix.lower()
+            kind_of_data = media.get(suffix, "application/octet-stream")
+            item["uri"] = f"data:{kind_of_data};base64,{base64.b64encode(content).decode()}"
 
 
 def _join_buffers(document: Json, chunk: bytes | None) -> bytearray:

@@ -86,9 +86,9 @@ def keep_triangles(document: Document, placements: Sequence[Placement], kept: ND
 def overwritable_accessors(document: Document, nodes: Set[int]) -> frozenset[int]:
     """Accessors that nothing but the edited attributes of these nodes' meshes refers to, and whose bytes no
     other accessor covers. Raises MeshInvalid for an accessor of the document that leaves its buffer."""
-    meshes = [
-        document.item("meshes", n) for n in sorted({document.item("nodes", node)["mesh"] for node in nodes})
-    ]
+    ours = {document.item("nodes", node)["mesh"] for node in nodes}
+    others = {node.get("mesh") for n, node in enumerate(document.json["nodes"]) if n not in nodes}
+    meshes = [document.item("meshes", n) for n in sorted(ours - others)]
     edited = Counter(
         primitive["attributes"][name]
         for mesh in meshes
@@ -135,8 +135,11 @@ def _references(document: Document) -> Iterator[int]:
 
 
 def _separate_instances(document: Document, nodes: Iterable[int]) -> None:
-    taken: set[int] = set()
-    for number in nodes:
+    """Give every one of the nodes a mesh that no other node has."""
+    placed = set(nodes)
+    others = (node for n, node in enumerate(document.json["nodes"]) if n not in placed)
+    taken = {node["mesh"] for node in others if "mesh" in node}  # of other scenes, invisible or flattened
+    for number in placed:
         node = document.item("nodes", number)
         if node["mesh"] in taken:
             document.json["meshes"].append(copy.deepcopy(document.item("meshes", node["mesh"])))

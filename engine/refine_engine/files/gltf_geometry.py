@@ -84,8 +84,14 @@ def triangle_primitives(mesh: Json) -> Iterator[Json]:
 
 def read_scene(document: Document, limits: MeshLimits) -> SceneGeometry:
     """All triangles of the default scene. Raises MeshInvalid if there are none or they are broken."""
-    matrices = _world_matrices(document)
-    placed = [node for node in sorted(matrices) if "mesh" in document.item("nodes", node)]
+    matrices, hidden = _world_matrices(document)
+    meshes = [node for node in sorted(matrices) if "mesh" in document.item("nodes", node)]
+    placed = [n for n in meshes if n not in hidden and not _is_flat(document.item("nodes", n), matrices[n])]
+    if meshes and not placed:
+        raise MeshInvalid(
+            f"expected an invertible transform of node {meshes[0]}, got one that flattens or is "
+            "not finite, or an invisible node"
+        )
     _check_size(document, placed, limits)
     placements: dict[tuple[int, int], Placement] = {}
     faces: list[Ints] = []
@@ -108,8 +114,12 @@ def read_scene(document: Document, limits: MeshLimits) -> SceneGeometry:
             "expected triangles in the default scene, got "
             + ("only points or lines" if others else "a scene without a mesh")
         )
-    warnings = (f"{others} primitives of points or lines were left as they are",) if others else ()
-    return SceneGeometry(tuple(placements.values()), np.concatenate(faces), warnings)
+    warnings = [f"{others} primitives of points or lines were left as they are"] if others else []
+    if odd := len(meshes) - len(placed):
+        warnings.append(
+            f"{odd} nodes that are invisible or flattened by their transform were left as they are"
+        )
+    return SceneGeometry(tuple(placements.values()), np.concatenate(faces), tuple(warnings))
 
 
 def transform(matrix: Floats, points: Floats) -> Floats:
@@ -132,12 +142,13 @@ def _linear(matrix: Floats) -> Floats:
     return linear
 
 
-def _world_matrices(document: Document) -> dict[int, Floats]:
-    """The world matrix of every node of the default scene. The nodes must form a tree."""
+def _world_matrices(document: Document) -> tuple[dict[int, Floats], set[int]]:
+    """The world matrix of every node of the default scene, which must be a tree, and the invisible nodes."""
     world: dict[int, Floats] = {}
-    stack = [(root, np.eye(4)) for root in _roots(document)]
+    hidden: set[int] = set()
+    stack = [(root, np.eye(4), False) for root in _roots(document)]
     while stack:
-        number, parent = stack.pop()
+        number, parent, below_hidden = stack.pop()
         node = document.item("nodes", number)
         if number in world:
             raise MeshInvalid(
@@ -147,8 +158,22 @@ def _world_matrices(document: Document) -> dict[int, Floats]:
             raise MeshInvalid(f"expected at most {_MAX_PARTS} nodes in the scene; join the meshes first")
         with np.errstate(over="ignore", invalid="ignore"):
             world[number] = parent @ _local_matrix(node)
-        stack.extend((child, world[number]) for child in node.get("children", []))
-    return world
+        visible = node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True)
+        if below_hidden or not visible:
+            hidden.add(number)
+        stack.extend((child, world[number], number in hidden) for child in node.get("children", []))
+    return world, hidden
+
+
+def _is_flat(node: Json, matrix: Floats) -> bool:
+    """The node's own matrix places its mesh, and what it moves cannot be taken back."""
+    return "skin" not in node and not _is_invertible(matrix)
+
+
+def _is_invertible(matrix: Floats) -> bool:
+    with np.errstate(all="ignore"):
+        finite = np.isfinite(matrix).all()
+        return bool(finite and (np.linalg.cond(matrix[..., :3, :3]) < _MAX_CONDITION).all())
 
 
 def _roots(document: Document) -> list[int]:
@@ -230,9 +255,7 @@ def _place(
         matrix = _skin_matrices(document, node, attributes, len(positions), matrices)
     else:
         matrix = matrices[number]
-    with np.errstate(all="ignore"):
-        usable = np.isfinite(matrix).all() and (np.linalg.cond(matrix[..., :3, :3]) < _MAX_CONDITION).all()
-    if not usable:
+    if not _is_invertible(matrix):
         raise MeshInvalid(
             f"expected an invertible transform of node {number}, got one that flattens or is not finite"
         )

@@ -20,11 +20,12 @@ from refine_proto.formats import MeshFormat, recognise_mesh
 from ..errors import MeshInvalid
 from ..values import Mesh
 from . import gltf
+from .beside import Beside, open_archive
 from .colour_scale import confidence_colours, linear_light
 from .gltf_edit import CONFIDENCE, keep_triangles, move_vertices, overwritable_accessors
 from .gltf_geometry import SceneGeometry, read_scene, triangle_primitives
 from .limits import MeshLimits, one_line, refused_as
-from .polygons import mesh_document, read_polygons
+from .polygons import MATTE, mesh_document, read_polygons
 from .weld import Floats, Ints, Weld, smooth_groups, vertex_normals, weld
 
 __all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "read_mesh"]
@@ -119,14 +120,7 @@ class MeshFile:
             CONFIDENCE: confidence.detach().cpu().numpy().astype("<f4")[:, None],
             "faces": shown,
         }
-        unlit = {
-            "pbrMetallicRoughness": {
-                "metallicFactor": 0.0,
-                "roughnessFactor": 1.0,
-            },  # of viewers that light it
-            "doubleSided": True,
-            "extensions": {UNLIT: {}},
-        }
+        unlit = MATTE | {"extensions": {UNLIT: {}}}  # matte for viewers that light it all the same
         document = mesh_document([part], unlit)
         document.json["extensionsUsed"] = [UNLIT]
         return document.to_glb()
@@ -153,20 +147,26 @@ def _row_number(rows: Ints, width: int) -> Ints:
     return (rows[:, 0] * width + rows[:, 1]) * width + rows[:, 2]
 
 
-def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> MeshFile:
-    """Read a GLB, glTF (embedded data), OBJ, PLY, STL or OFF file.
+def read_mesh(
+    data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS, beside: Beside | None = None
+) -> MeshFile:
+    """Read a GLB, glTF, OBJ, PLY, STL or OFF file, or a ZIP archive of one and the files that it refers to.
 
-    The format is decided by the content where it can be, else by the suffix of `name`.
+    The format is decided by the content where it can be, else by the suffix of `name`. `beside` gives the
+    files that a mesh refers to; without it only embedded data is read.
     Raises FormatUnsupported or MeshInvalid.
     """
     with refused_as(MeshInvalid):
-        kind = recognise_mesh(data, name)
+        if (kind := recognise_mesh(data, name)) is MeshFormat.ZIP:
+            name, data, beside = open_archive(data)
+            if (kind := recognise_mesh(data, name)) is MeshFormat.ZIP:
+                raise MeshInvalid(f"expected a mesh file in the archive, got another archive {name!r:.60}")
+    left_out: tuple[str, ...] = ()
     with _malformed(kind):
-        document = (
-            gltf.parse(data)
-            if kind in (MeshFormat.GLB, MeshFormat.GLTF)
-            else read_polygons(data, kind, limits)
-        )
+        if kind in (MeshFormat.GLB, MeshFormat.GLTF):
+            document = gltf.parse(data, beside)
+        else:
+            document, left_out = read_polygons(data, kind, limits)
         scene = read_scene(document, limits)
         overwritable = overwritable_accessors(document, {placement.node for placement in scene.placements})
     positions = scene.world_positions()
@@ -175,7 +175,7 @@ def read_mesh(data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS) -> Me
         raise MeshInvalid(f"expected triangles with an area, got {len(scene.faces)} whose corners coincide")
     limits.check_welded(len(welded.source_of))
     vertices = torch.from_numpy(positions[welded.source_of].astype(np.float32))
-    warnings = list(scene.warnings)
+    warnings = [*left_out, *scene.warnings]
     if dropped := len(scene.faces) - len(welded.faces):
         warnings.append(
             f"{dropped} of {len(scene.faces)} triangles have corners that coincide and were left out"

@@ -24,13 +24,12 @@ class Frame:
     """The normalised frame: x_normalised = (x - centre) / scale. Its mirror plane goes through the origin."""
 
     centre: Tensor  # (3,) world
-    scale: float  # longest side of the bounding box, world units
+    scale: float  # longest side of `Mesh.box`, world units
 
     @staticmethod
     def of(mesh: Mesh, plane: MirrorPlane | None) -> Frame:
         """The unit box of the mesh, moved along the plane's normal so that the plane holds the origin."""
-        used = mesh.vertices[mesh.faces.unique()]
-        low, high = used.amin(0), used.amax(0)
+        low, high = mesh.box()
         middle = (low + high) / 2
         if plane is not None:
             middle = middle + (plane.offset - middle @ plane.normal) * plane.normal

@@ -144,6 +144,7 @@ class RefinementSpec(_message.Message):
         PLY: _ClassVar[RefinementSpec.MeshFormat]
         STL: _ClassVar[RefinementSpec.MeshFormat]
         OFF: _ClassVar[RefinementSpec.MeshFormat]
+        ZIP: _ClassVar[RefinementSpec.MeshFormat]
     MESH_FORMAT_UNSPECIFIED: RefinementSpec.MeshFormat
     GLB: RefinementSpec.MeshFormat
     GLTF: RefinementSpec.MeshFormat
@@ -151,6 +152,7 @@ class RefinementSpec(_message.Message):
     PLY: RefinementSpec.MeshFormat
     STL: RefinementSpec.MeshFormat
     OFF: RefinementSpec.MeshFormat
+    ZIP: RefinementSpec.MeshFormat
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
     MESH_FORMAT_FIELD_NUMBER: _ClassVar[int]

@@ -106,3 +106,19 @@ def test_the_least_that_is_enough() -> None:
     assert View(corner, CAMERA).camera is CAMERA
     assert View(1 - corner, CAMERA).camera is CAMERA
     assert len(Mesh(CORNERS, FACES).faces) == 1
+
+
+@pytest.mark.parametrize(("distance", "seen"), [(1.5, True), (30.0, False), (1e4, False)])
+def test_a_stray_fragment_far_away_does_not_set_the_box(ball: Mesh, distance: float, seen: bool) -> None:
+    crumb = 0.01 * CORNERS + torch.tensor([distance, 0.0, 0.0])
+    mesh = Mesh(torch.cat([ball.vertices, crumb]), torch.cat([ball.faces, FACES + len(ball.vertices)]))
+    low, high = mesh.box()
+    assert torch.equal(low, ball.vertices.amin(0))
+    assert torch.equal(high, mesh.vertices.amax(0) if seen else ball.vertices.amax(0))
+
+
+def test_the_box_of_a_mesh_without_strays_is_its_bounding_box(ball: Mesh) -> None:
+    for mesh in (ball, Mesh(CORNERS, FACES), Mesh(ball.vertices * torch.tensor([50.0, 1, 1]), ball.faces)):
+        low, high = mesh.box()
+        assert torch.equal(low, mesh.vertices.amin(0))
+        assert torch.equal(high, mesh.vertices.amax(0))

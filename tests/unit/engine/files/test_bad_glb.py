@@ -30,7 +30,7 @@ def draco(glb: Any) -> None:
 
 
 def meshopt(glb: Any) -> None:
-    glb.json["extensionsUsed"] = ["EXT_meshopt_compression"]
+    glb.json["bufferViews"][0]["extensions"] = {"EXT_meshopt_compression": {}}
 
 
 def infinite(glb: Any) -> None:

@@ -62,7 +62,7 @@ def test_obj_texture_coordinates_survive_across_a_seam(tools: Any) -> None:
     assert {tuple(row) for row in rows.tolist()} == expected
 
 
-def test_ply_vertex_colours_survive() -> None:
+def test_ply_vertex_colours_survive(tools: Any) -> None:
     text = (
         b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
         b"property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n"
@@ -70,8 +70,14 @@ def test_ply_vertex_colours_survive() -> None:
         b"0 1 0 0 0 200\n3 0 1 2\n"
     )
     file = read_mesh(text, "no suffix")
-    result = loaded(file.with_vertices(file.mesh.vertices, torch.ones(3)))
-    assert result.visual.vertex_colors[:, :3].tolist() == [[255, 0, 0], [0, 255, 0], [0, 0, 200]]
+    head, binary = tools.split_glb(file.with_vertices(file.mesh.vertices, torch.ones(3)))
+    accessor = head["accessors"][head["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    start = head["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    assert np.frombuffer(binary, np.uint8, 12, start).reshape(3, 4)[:, :3].tolist() == [
+        [255, 0, 0],
+        [0, 255, 0],
+        [0, 0, 200],
+    ]
 
 
 def test_stl_corners_are_joined_for_good(tools: Any) -> None:
