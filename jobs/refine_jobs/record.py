@@ -14,6 +14,7 @@ from refine_proto.models import (
     Artifact,
     Event,
     EventType,
+    Finding,
     ProblemDetails,
     Progress,
     Refinement,
@@ -24,7 +25,7 @@ from refine_proto.models import (
 
 from .blobs import Blob
 
-_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou")
+_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou", "checks")
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
 
@@ -67,6 +68,7 @@ class Job(BaseModel):
     error: ProblemDetails | None = None
     artifacts: tuple[Artifact, ...] = ()
     silhouette_iou: SilhouetteIou | None = None
+    checks: tuple[Finding, ...] = ()
     request_id: str | None = None
     traceparent: str | None = None
     sequence: int = 0  # of its last event
@@ -114,6 +116,7 @@ class Job(BaseModel):
             expires_at=self.expires_at,
             queue_position=queue_position,
             silhouette_iou=self.silhouette_iou,
+            checks=list(self.checks),
             attempt=self.attempt,
         )
 

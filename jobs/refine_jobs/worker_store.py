@@ -12,7 +12,7 @@ from typing import Any
 from redis import Redis
 
 from refine_proto.errors import RefineError, WorkerLost
-from refine_proto.models import Artifact, Progress, SilhouetteIou, State
+from refine_proto.models import Artifact, Finding, Progress, SilhouetteIou, State
 
 from . import keys
 from .delivery import Delivery, delivery_id
@@ -51,9 +51,15 @@ class WorkerStore:
         """As renew, with progress for the watchers."""
         return self._held(job, self._run("renew", job.id, job.attempt, self._lease_ms, to_json(progress)))
 
-    def finish(self, job: Job, artifacts: Sequence[Artifact], silhouette_iou: SilhouetteIou) -> None:
+    def finish(
+        self,
+        job: Job,
+        artifacts: Sequence[Artifact],
+        silhouette_iou: SilhouetteIou,
+        checks: Sequence[Finding] = (),
+    ) -> None:
         """The job succeeded; its artifacts are in the blob store (keys.artifact_blob). Raises LeaseLost."""
-        fields = {"artifacts": list(artifacts), "silhouette_iou": silhouette_iou}
+        fields = {"artifacts": list(artifacts), "silhouette_iou": silhouette_iou, "checks": list(checks)}
         self._end(job, State.SUCCEEDED, "", encode(fields))
 
     def fail(self, job: Job, error: RefineError) -> None:

@@ -9,9 +9,10 @@ Conventions: world right-handed, Y up; lengths in world units of the mesh; times
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
+from typing import Any, Self
 
 from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, field_validator
 
@@ -20,6 +21,10 @@ from .cameras import CameraSpec as CameraSpec
 from .cameras import Intrinsics as Intrinsics
 from .cameras import LookAtCamera as LookAtCamera
 from .cameras import MatrixCamera as MatrixCamera
+from .checks import Checks as Checks
+from .checks import Finding as Finding
+from .checks import Reading as Reading
+from .checks import Severity as Severity
 from .formats import SILHOUETTE_THRESHOLD
 from .formats import MeshFormat as MeshFormat
 from .open_enum import OpenEnum, of_newer_version
@@ -61,6 +66,10 @@ class RefinementOptions(Input):
     )
     timeout_s: Positive | None = Field(
         None, description="Longest running time before DEADLINE_EXCEEDED; unset: the server's limit."
+    )
+    checks: Checks = Field(
+        Checks.WARN,
+        description="Inputs that look wrong: refuse them (strict), only what cannot be meant (warn), none.",
     )
 
     @field_validator("symmetry_normal")
@@ -192,6 +201,7 @@ class Refinement(Output):
     queue_position: int | None = Field(None, description="Jobs ahead of this one; only while queued.")
     silhouette_iou: SilhouetteIou | None = None
     attempt: int = Field(0, description="How often a worker has started it.")
+    checks: list[Finding] = Field([], description="What looked wrong with the inputs.")
     urls: RefinementUrls | None = None
 
     @field_validator("options", mode="before")
@@ -202,7 +212,25 @@ class Refinement(Output):
         known = {k: v for k, v in value.items() if k in RefinementOptions.model_fields}
         if isinstance(preset := known.get("preset"), str):
             known["preset"] = of_newer_version(Preset, preset)
+        if isinstance(checks := known.get("checks"), str):
+            known["checks"] = of_newer_version(Checks, checks)
         return known
+
+
+class Validation(Output):
+    """What a refinement of the same request would find in its inputs. Nothing is refined or kept."""
+
+    accepted: bool = Field(description="Whether it would be refined: no check refuses it.")
+    silhouette_iou: float = Field(description="2D IoU of the coarse mesh with the silhouette.")
+    warnings: list[str] = Field([], description="All that is to be said, also about the mesh file.")
+    checks: list[Finding] = Field([], description="What looks wrong, as values.")
+
+    @classmethod
+    def of(cls, silhouette_iou: float, warnings: Iterable[str], checks: Iterable[Finding]) -> Self:
+        """What comes of these findings."""
+        found = list(checks)
+        accepted = all(finding.severity is not Severity.REFUSED for finding in found)
+        return cls(accepted=accepted, silhouette_iou=silhouette_iou, warnings=list(warnings), checks=found)
 
 
 class RefinementPage(Output):

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from refine_proto.models import Artifact, Progress, SilhouetteIou
+from refine_proto.models import Artifact, Finding, Progress, SilhouetteIou
 
 MAX_BYTES = 2**20  # of one message; files go through the blob store
 
@@ -74,6 +74,7 @@ class Done(_Message):
     type: Literal["done"] = "done"
     artifacts: tuple[Artifact, ...]
     silhouette_iou: SilhouetteIou
+    checks: tuple[Finding, ...] = ()
 
 
 class Failed(_Message):

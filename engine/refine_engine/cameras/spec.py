@@ -1,4 +1,4 @@
-"""The contract's CameraSpec -> Camera, the one internal form; and what else the same numbers could mean.
+"""The contract's CameraSpec -> Camera, the one internal form. What else its numbers could mean: readings.py.
 
 What a CameraSpec may be, and what is wrong with one, is said in `refine_proto.cameras`.
 """
@@ -6,7 +6,7 @@ What a CameraSpec may be, and what is wrong with one, is said in `refine_proto.c
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -49,55 +49,12 @@ def camera_from_spec(spec: CameraSpec, width: int, height: int) -> Camera:
     if isinstance(spec, LookAtCamera):
         a, e = spec.azimuth_degrees, spec.elevation_degrees
         return Camera.look_at(a, e, spec.distance, spec.fov_y_degrees, width, height)
-    pose = _Reading.of(spec).world_to_camera()
+    pose = WrittenPose.of(spec).world_to_camera()
     return Camera(pose, *_lens(spec, width, height), width, height, spec.projection)
 
 
-def other_readings(spec: CameraSpec, given: Camera) -> dict[str, Camera]:
-    """What the numbers of `spec`, which says `given`, mean in other usual conventions: description -> camera.
-
-    Readings that are the same camera as the given one or as an earlier one are left out.
-    """
-    poses = _other_look_ats(spec, given) if isinstance(spec, LookAtCamera) else _other_matrices(spec)
-    cameras: dict[str, Camera] = {}
-    for name, pose in poses.items():
-        seen = (given, *cameras.values())
-        if not any(torch.allclose(pose, camera.world_to_camera, atol=1e-5) for camera in seen):
-            cameras[name] = replace(given, world_to_camera=pose)
-    return cameras
-
-
-def _other_look_ats(spec: LookAtCamera, given: Camera) -> dict[str, Tensor]:
-    """Azimuth counted the other way or from another axis, elevation downwards, a world with Z up."""
-    azimuth, elevation = spec.azimuth_degrees, spec.elevation_degrees
-    angles = {
-        "azimuth_degrees negated": (-azimuth, elevation),
-        "elevation_degrees negated": (azimuth, -elevation),
-        **{f"azimuth_degrees {turn:+}": (azimuth + turn, elevation) for turn in (90, -90, 180)},
-    }
-    poses = {
-        name: Camera.look_at(a, e, spec.distance, spec.fov_y_degrees, 1, 1).world_to_camera
-        for name, (a, e) in angles.items()
-    }
-    z_up = torch.tensor([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # x, y, z -> x, z, -y
-    return poses | {"a mesh with Z up (turn it to Y up)": given.world_to_camera @ z_up}
-
-
-def _other_matrices(spec: MatrixCamera) -> dict[str, Tensor]:
-    """The other conventions, the other direction, the rotation transposed, and all of these together."""
-    told = _Reading.of(spec)
-    other = DIRECTIONS[1 - DIRECTIONS.index(told.direction)]
-    readings = [
-        replace(told, convention=convention, direction=direction, transposed=transposed)
-        for transposed in (False, True)
-        for direction in (told.direction, other)
-        for convention in AXES
-    ]
-    return {reading.describe(): reading.world_to_camera() for reading in readings}
-
-
 @dataclass(frozen=True)
-class _Reading:
+class WrittenPose:
     """A rigid 4x4 matrix and what it is taken to mean."""
 
     matrix: Tensor  # (4, 4) float64
@@ -106,9 +63,9 @@ class _Reading:
     transposed: bool = False  # the rotation acts on row vectors, as PyTorch3D's R does
 
     @staticmethod
-    def of(spec: MatrixCamera) -> _Reading:
+    def of(spec: MatrixCamera) -> WrittenPose:
         direction: Direction = "camera_to_world" if spec.world_to_camera is None else "world_to_camera"
-        return _Reading(
+        return WrittenPose(
             torch.tensor(getattr(spec, direction), dtype=torch.float64), spec.convention, direction
         )
 

@@ -20,6 +20,7 @@ from refine_proto.models import Refinement
 
 from ..artifacts.make import make_artifacts
 from ..cameras.spec import read_camera
+from ..checks.check import GivenPlane
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
@@ -33,13 +34,18 @@ def run_command(argv: Sequence[str]) -> int:
     try:
         _run(run_parser().parse_args(argv))
     except Exception as error:
-        told = _told(error)
-        code = BAD_INPUT if isinstance(told, contract.InvalidInput) else FAILED
-        return fail(f"{told.reason}: {told.detail}", code)
+        return end(error)
     return 0
 
 
-def _told(error: Exception) -> contract.RefineError:
+def end(error: Exception) -> int:
+    """Tell why a command ends; its exit code."""
+    problem = told(error)
+    code = BAD_INPUT if isinstance(problem, contract.InvalidInput) else FAILED
+    return fail(f"{problem.reason}: {problem.detail}", code)
+
+
+def told(error: Exception) -> contract.RefineError:
     """The error in the words of the contract."""
     match error:
         case contract.RefineError():
@@ -61,9 +67,7 @@ def run_parser() -> Parser:
         description="Refine a coarse mesh so that it agrees with its silhouette and stays plausible.",
         epilog="`refine docs conventions` explains cameras, silhouettes and units.",
     )
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
-    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
+    add_files(parser)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="for the artifacts")
     parser.add_argument(
         "--device", choices=["auto", "cpu", "cuda"], default="auto", help="auto: CUDA if present"
@@ -74,6 +78,13 @@ def run_parser() -> Parser:
     parser.add_argument("--json", action="store_true", help="one JSON object per line on standard output")
     add_options(parser)
     return parser
+
+
+def add_files(parser: Parser) -> None:
+    """The arguments that name the inputs of a run."""
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
+    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
+    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -88,11 +99,13 @@ def _run(arguments: argparse.Namespace) -> None:
     keep_float32()
     _check_target(arguments.output)
     inputs = read_inputs(
-        _read(arguments.mesh),
+        read_file(arguments.mesh),
         arguments.mesh.name,
-        _read(arguments.silhouette),
-        read_camera(_read(arguments.camera)),
+        read_file(arguments.silhouette),
+        read_camera(read_file(arguments.camera)),
         options.silhouette_threshold,
+        checks=options.checks,
+        symmetry=GivenPlane.of(config),
     )
     display = choose_display(arguments.json)
     with display:
@@ -100,7 +113,7 @@ def _run(arguments: argparse.Namespace) -> None:
         try:
             refinement, artifacts = _refine(inputs, config, device, events, display)
         except Exception as error:
-            events.failed(_told(error))
+            events.failed(told(error))
             raise
     display.finish(refinement)
     display.written(_publish(artifacts, arguments.output))
@@ -109,6 +122,7 @@ def _run(arguments: argparse.Namespace) -> None:
 def _refine(
     inputs: Inputs, config: RefineConfig, device: torch.device, events: RunEvents, display: Display
 ) -> tuple[Refinement, dict[str, bytes]]:
+    events.read(inputs)
     for warning in inputs.warnings:  # now: they may be a reason to stop
         display.warn(warning)
     result = inputs.refine(config, device, events.report)
@@ -125,7 +139,7 @@ def _device(name: str) -> torch.device:
     return torch.device("cuda" if available and name != "cpu" else "cpu")
 
 
-def _read(path: Path) -> bytes:
+def read_file(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:

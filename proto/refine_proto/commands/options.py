@@ -7,7 +7,7 @@ import argparse
 from pydantic import ValidationError
 
 from ..errors import from_validation
-from ..models import Preset, RefinementOptions
+from ..models import Checks, Preset, RefinementOptions
 
 
 def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
@@ -29,6 +29,10 @@ def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     group.add_argument(
         "--silhouette-threshold", type=float, metavar="T",
         help=f"share of full scale above which is object ({_default('silhouette_threshold')})",
+    )  # fmt: skip
+    group.add_argument(
+        "--checks", choices=list(Checks), metavar="CHECKS",
+        help=f"of the inputs, before the run: {', '.join(Checks)} ({_default('checks')})",
     )  # fmt: skip
     return group
 

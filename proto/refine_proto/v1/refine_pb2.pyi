@@ -12,7 +12,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RefinementOptions(_message.Message):
-    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s")
+    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s", "checks")
     class Preset(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PRESET_UNSPECIFIED: _ClassVar[RefinementOptions.Preset]
@@ -23,6 +23,16 @@ class RefinementOptions(_message.Message):
     PAPER: RefinementOptions.Preset
     DEFAULT: RefinementOptions.Preset
     FAST: RefinementOptions.Preset
+    class Checks(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        CHECKS_UNSPECIFIED: _ClassVar[RefinementOptions.Checks]
+        STRICT: _ClassVar[RefinementOptions.Checks]
+        WARN: _ClassVar[RefinementOptions.Checks]
+        OFF: _ClassVar[RefinementOptions.Checks]
+    CHECKS_UNSPECIFIED: RefinementOptions.Checks
+    STRICT: RefinementOptions.Checks
+    WARN: RefinementOptions.Checks
+    OFF: RefinementOptions.Checks
     PRESET_FIELD_NUMBER: _ClassVar[int]
     ITERATIONS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
@@ -30,6 +40,7 @@ class RefinementOptions(_message.Message):
     SYMMETRY_OFFSET_FIELD_NUMBER: _ClassVar[int]
     SILHOUETTE_THRESHOLD_FIELD_NUMBER: _ClassVar[int]
     TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
+    CHECKS_FIELD_NUMBER: _ClassVar[int]
     preset: RefinementOptions.Preset
     iterations: int
     seed: int
@@ -37,7 +48,8 @@ class RefinementOptions(_message.Message):
     symmetry_offset: float
     silhouette_threshold: float
     timeout_s: float
-    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ...) -> None: ...
+    checks: RefinementOptions.Checks
+    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., checks: _Optional[_Union[RefinementOptions.Checks, str]] = ...) -> None: ...
 
 class CameraSpec(_message.Message):
     __slots__ = ("look_at", "matrix")
@@ -136,7 +148,7 @@ class RefinementSpec(_message.Message):
     def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., mesh_format: _Optional[_Union[RefinementSpec.MeshFormat, str]] = ...) -> None: ...
 
 class Refinement(_message.Message):
-    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls")
+    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "checks")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Refinement.State]
@@ -169,6 +181,7 @@ class Refinement(_message.Message):
     SILHOUETTE_IOU_FIELD_NUMBER: _ClassVar[int]
     ATTEMPT_FIELD_NUMBER: _ClassVar[int]
     URLS_FIELD_NUMBER: _ClassVar[int]
+    CHECKS_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: Refinement.State
     options: RefinementOptions
@@ -183,7 +196,38 @@ class Refinement(_message.Message):
     silhouette_iou: SilhouetteIou
     attempt: int
     urls: RefinementUrls
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ...) -> None: ...
+    checks: _containers.RepeatedCompositeFieldContainer[Finding]
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ...) -> None: ...
+
+class Finding(_message.Message):
+    __slots__ = ("code", "severity", "message", "reading")
+    class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        SEVERITY_UNSPECIFIED: _ClassVar[Finding.Severity]
+        WARNING: _ClassVar[Finding.Severity]
+        REFUSED: _ClassVar[Finding.Severity]
+    SEVERITY_UNSPECIFIED: Finding.Severity
+    WARNING: Finding.Severity
+    REFUSED: Finding.Severity
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    SEVERITY_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    READING_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    severity: Finding.Severity
+    message: str
+    reading: Reading
+    def __init__(self, code: _Optional[str] = ..., severity: _Optional[_Union[Finding.Severity, str]] = ..., message: _Optional[str] = ..., reading: _Optional[_Union[Reading, _Mapping]] = ...) -> None: ...
+
+class Reading(_message.Message):
+    __slots__ = ("name", "silhouette_iou", "camera")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SILHOUETTE_IOU_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    silhouette_iou: float
+    camera: CameraSpec
+    def __init__(self, name: _Optional[str] = ..., silhouette_iou: _Optional[float] = ..., camera: _Optional[_Union[CameraSpec, _Mapping]] = ...) -> None: ...
 
 class Progress(_message.Message):
     __slots__ = ("iteration", "total", "percent", "eta_s", "losses", "silhouette_iou")
@@ -265,6 +309,18 @@ class Event(_message.Message):
     progress: Progress
     refinement: Refinement
     def __init__(self, sequence: _Optional[int] = ..., type: _Optional[_Union[Event.Type, str]] = ..., time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., refinement: _Optional[_Union[Refinement, _Mapping]] = ...) -> None: ...
+
+class Validation(_message.Message):
+    __slots__ = ("accepted", "silhouette_iou", "warnings", "checks")
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    SILHOUETTE_IOU_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    CHECKS_FIELD_NUMBER: _ClassVar[int]
+    accepted: bool
+    silhouette_iou: float
+    warnings: _containers.RepeatedScalarFieldContainer[str]
+    checks: _containers.RepeatedCompositeFieldContainer[Finding]
+    def __init__(self, accepted: bool = ..., silhouette_iou: _Optional[float] = ..., warnings: _Optional[_Iterable[str]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ...) -> None: ...
 
 class RefinementPage(_message.Message):
     __slots__ = ("refinements", "next_cursor")

@@ -113,6 +113,19 @@ def test_a_bad_mesh_fails_with_the_engines_reason(
     assert worker.engine_pids() == before
 
 
+def test_what_looks_wrong_is_told_and_refused_if_that_was_asked_for(
+    worker: Worker, workplace: Workplace
+) -> None:
+    askew = [1.0, 1.0, 0.0]
+    job = assert_succeeds(workplace, workplace.submit(iterations=4, symmetry_normal=askew))
+    (finding,) = job.refinement().checks
+    assert (finding.code, finding.severity) == ("SYMMETRY_ELSEWHERE", "warning")
+    strict = workplace.submit(iterations=4, symmetry_normal=askew, checks="strict")
+    assert assert_fails(workplace, strict, "OPTIONS_INVALID").startswith(finding.message)
+    unchecked = workplace.submit(iterations=4, symmetry_normal=askew, checks="off")
+    assert assert_succeeds(workplace, unchecked).checks == ()
+
+
 def test_files_that_are_gone_fail_the_job(worker: Worker, workplace: Workplace) -> None:
     slot = worker.slot_pid()
     busy = workplace.submit(iterations=LONG)

@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 
 from refine_engine.artifacts.make import make_artifacts
+from refine_engine.checks.check import GivenPlane
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.presets import make_config
 from refine_engine.request import Inputs, read_inputs
@@ -40,8 +41,8 @@ class Refinery:
     def refine(self, run: Run, tell: Tell, cancelled: Callable[[], bool]) -> Done:
         """Do the job. Raises the engine's errors and MemoryShort."""
         spec = RefinementSpec.model_validate(run.spec)
-        inputs = self._read(run.job_id, spec, tell)
         config = config_of(spec.options)
+        inputs = self._read(run.job_id, spec, config, tell)
         tell(PhaseStarted(phase=Phase.REFINE))
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
             result = inputs.refine(config, self._device, Reporter(tell), cancelled)
@@ -52,6 +53,7 @@ class Refinery:
             silhouette_iou=SilhouetteIou(
                 before=result.silhouette_iou_before, after=result.silhouette_iou_after
             ),
+            checks=inputs.findings,
         )
 
     def clear(self) -> None:
@@ -63,14 +65,22 @@ class Refinery:
         if self._device.type == "cuda":
             torch.cuda.empty_cache()
 
-    def _read(self, job_id: str, spec: RefinementSpec, tell: Tell) -> Inputs:
+    def _read(self, job_id: str, spec: RefinementSpec, config: RefineConfig, tell: Tell) -> Inputs:
         mesh, silhouette = (
             self._blobs.get(keys.input_blob(job_id, part)) for part in (keys.MESH, keys.SILHOUETTE)
         )
         tell(PhaseStarted(phase=Phase.READ))
         name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
         with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
-            return read_inputs(mesh, name, silhouette, spec.camera, spec.options.silhouette_threshold)
+            return read_inputs(
+                mesh,
+                name,
+                silhouette,
+                spec.camera,
+                spec.options.silhouette_threshold,
+                checks=spec.options.checks,
+                symmetry=GivenPlane.of(config),
+            )
 
     def _store(self, run: Run, artifacts: Mapping[str, bytes]) -> tuple[Artifact, ...]:
         stored = {

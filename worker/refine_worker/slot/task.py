@@ -51,7 +51,7 @@ def _work(slot: Slot, job: Job) -> Callable[[], object]:
     failure: RefineError
     try:
         done = Attempt(slot, job).run()
-        return partial(slot.store.finish, job, done.artifacts, done.silhouette_iou)
+        return partial(slot.store.finish, job, done.artifacts, done.silhouette_iou, done.checks)
     except LeaseLost:
         raise
     except Cancelled:
