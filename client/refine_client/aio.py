@@ -20,6 +20,7 @@ from refine_proto.models import (
     Refinement,
     RefinementOptions,
     RefinementPage,
+    Validation,
 )
 
 from .address import Connection
@@ -66,6 +67,19 @@ class AsyncRefineClient:
         """See RefineClient.submit."""
         upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key)
         return await self._retried(lambda: self._transport.create(upload))
+
+    async def validate(
+        self,
+        mesh: Source,
+        silhouette: Source,
+        camera: CameraSpec | Mapping[str, Any],
+        options: RefinementOptions | Mapping[str, Any] | None = None,
+        *,
+        mesh_format: MeshFormat | str | None = None,
+    ) -> Validation:
+        """See RefineClient.validate."""
+        upload = make_upload(mesh, silhouette, camera, options, mesh_format)
+        return await self._retried(lambda: self._transport.validate(upload))
 
     async def get(self, refinement_id: str) -> Refinement:
         """See RefineClient.get."""

@@ -21,6 +21,7 @@ from refine_proto.models import (
     Refinement,
     RefinementOptions,
     RefinementPage,
+    Validation,
 )
 
 from .address import Connection
@@ -96,6 +97,23 @@ class RefineClient:
         """
         upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key)
         return self._retried(lambda: self._transport.create(upload))
+
+    def validate(
+        self,
+        mesh: Source,
+        silhouette: Source,
+        camera: CameraSpec | Mapping[str, Any],
+        options: RefinementOptions | Mapping[str, Any] | None = None,
+        *,
+        mesh_format: MeshFormat | str | None = None,
+    ) -> Validation:
+        """Say what looks wrong, and whether `submit` would refine it, without a refinement.
+
+        The arguments are those of `submit`. Raises what a refinement of files that cannot be read fails with,
+        and Unavailable if no worker slot has time to answer.
+        """
+        upload = make_upload(mesh, silhouette, camera, options, mesh_format)
+        return self._retried(lambda: self._transport.validate(upload))
 
     def get(self, refinement_id: str) -> Refinement:
         """The refinement as it is now."""

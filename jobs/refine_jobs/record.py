@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from enum import StrEnum
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -25,11 +26,18 @@ from refine_proto.models import (
 
 from .blobs import Blob
 
-_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou", "checks")
+_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou", "checks", "answer")
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
 
 log = logging.getLogger(__name__)
+
+
+class Task(StrEnum):
+    """What a worker does with a job. All but a refinement are questions: answered soon, and never listed."""
+
+    REFINE = "refine"
+    VALIDATE = "validate"
 
 
 class Submission(BaseModel):
@@ -42,6 +50,7 @@ class Submission(BaseModel):
     spec: RefinementSpec
     mesh: Blob
     silhouette: Blob
+    task: Task = Task.REFINE
     idempotency_key: str | None = None
     request_id: str | None = None
     traceparent: str | None = None
@@ -59,6 +68,7 @@ class Job(BaseModel):
     spec: Mapping[str, Any]  # a RefinementSpec, checked at the edge: only who refines reads it again
     mesh: Blob
     silhouette: Blob
+    task: Task = Task.REFINE
     created_at: datetime
     expires_at: datetime
     started_at: datetime | None = None
@@ -69,6 +79,7 @@ class Job(BaseModel):
     artifacts: tuple[Artifact, ...] = ()
     silhouette_iou: SilhouetteIou | None = None
     checks: tuple[Finding, ...] = ()
+    answer: Mapping[str, Any] | None = None  # to a question
     request_id: str | None = None
     traceparent: str | None = None
     sequence: int = 0  # of its last event

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from pydantic import BaseModel
 from redis import Redis
 
 from refine_proto.errors import RefineError, WorkerLost
@@ -61,6 +62,10 @@ class WorkerStore:
         """The job succeeded; its artifacts are in the blob store (keys.artifact_blob). Raises LeaseLost."""
         fields = {"artifacts": list(artifacts), "silhouette_iou": silhouette_iou, "checks": list(checks)}
         self._end(job, State.SUCCEEDED, "", encode(fields))
+
+    def answer(self, job: Job, answer: BaseModel) -> None:
+        """The job was a question, and this is the answer. Raises LeaseLost."""
+        self._end(job, State.SUCCEEDED, "", encode({"answer": answer}))
 
     def fail(self, job: Job, error: RefineError) -> None:
         """The job failed for good. Raises LeaseLost."""

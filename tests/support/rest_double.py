@@ -37,6 +37,8 @@ class _Handler(BaseHTTPRequestHandler):
         key = self.headers.get("Idempotency-Key", "")
         if self.path.endswith("/cancel"):
             self._answer("cancel", self._cancel)
+        elif self.path == "/v1/refinements:validate":
+            self._answer("validate", lambda: self.script.validation("", self._parts(body)))
         else:
             self._answer("create", lambda: self.script.create(key, self._parts(body)), 202, key)
 

@@ -31,7 +31,7 @@ camera.json
 def submit_command(argv: Sequence[str]) -> None:
     """Run `refine submit`."""
     arguments = submit_parser().parse_args(argv)
-    camera = _read_camera(arguments.camera)
+    camera = read_camera(arguments.camera)
     options = read_options(arguments)
     if arguments.output is not None:
         arguments.output.mkdir(parents=True, exist_ok=True)  # before the job, not after it
@@ -57,7 +57,8 @@ def submit_command(argv: Sequence[str]) -> None:
             raise
 
 
-def _read_camera(path: Path) -> CameraSpec:
+def read_camera(path: Path) -> CameraSpec:
+    """The camera in a file; CameraInvalid."""
     try:
         return CAMERA_SPEC.validate_json(path.read_bytes())
     except ValidationError as error:
@@ -69,14 +70,9 @@ def submit_parser() -> Parser:
     parser = make_parser(
         "submit", "Send a mesh, its silhouette and the camera to a server and print the id.", EXAMPLE
     )
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
-    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="see below")
+    add_files(parser)
     parser.add_argument("--wait", action="store_true", help="follow it to its end, with a progress bar")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="wait, then download all artifacts")
-    parser.add_argument(
-        "--mesh-format", choices=list(MeshFormat), metavar="FORMAT", help="(the suffix of MESH)"
-    )
     parser.add_argument(
         "--idempotency-key", metavar="KEY", help="the same key and content give the same refinement"
     )
@@ -84,3 +80,13 @@ def submit_parser() -> Parser:
         "--timeout-s", type=float, metavar="S", help="longest running time (the server's)"
     )
     return parser
+
+
+def add_files(parser: Parser) -> None:
+    """The arguments that name what is sent."""
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
+    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
+    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="see below")
+    parser.add_argument(
+        "--mesh-format", choices=list(MeshFormat), metavar="FORMAT", help="(the suffix of MESH)"
+    )

@@ -70,6 +70,10 @@ def create(upload: Upload) -> Request:
     return Request("POST", "/v1/refinements", headers={"Idempotency-Key": upload.idempotency_key})
 
 
+def validate() -> Request:
+    return Request("POST", "/v1/refinements:validate")
+
+
 def parts(upload: Upload, mesh: OpenFile, silhouette: OpenFile) -> list[Part]:
     """The multipart body: what is small first, so that a server can refuse before the files come."""
     spec = upload.spec.model_dump(mode="json", exclude_none=True)

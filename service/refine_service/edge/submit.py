@@ -18,7 +18,7 @@ from starlette.datastructures import UploadFile
 from refine_jobs import keys
 from refine_jobs.blobs import Blob
 from refine_jobs.edge_store import Submitted
-from refine_jobs.record import Submission
+from refine_jobs.record import Submission, Task
 from refine_proto.errors import PayloadTooLarge, Unavailable, UploadTimeout, check_idempotency_key
 from refine_proto.formats import HEAD_BYTES
 from refine_proto.models import FieldError, RefinementSpec
@@ -51,7 +51,9 @@ def new_file() -> UploadFile:
     return UploadFile(cast(BinaryIO, tempfile.SpooledTemporaryFile(max_size=_MEMORY_BYTES)), size=0)
 
 
-async def submit(edge: Edge, call: Call, upload: Upload, idempotency_key: str | None) -> Submitted:
+async def submit(
+    edge: Edge, call: Call, upload: Upload, idempotency_key: str | None, task: Task = Task.REFINE
+) -> Submitted:
     """Check, store and submit."""
     spec = edge.store.check_options(await _checked(upload, edge.settings))
     if idempotency_key is not None:
@@ -68,6 +70,7 @@ async def submit(edge: Edge, call: Call, upload: Upload, idempotency_key: str | 
             id=call.job_id,
             owner=call.owner,
             spec=spec,
+            task=task,
             mesh=mesh,
             silhouette=silhouette,
             idempotency_key=idempotency_key,

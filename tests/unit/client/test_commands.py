@@ -23,12 +23,14 @@ from refine_client.commands.refinements import (
     list_command,
 )
 from refine_client.commands.submit import submit_command
+from refine_client.commands.validate import validate_command
 from refine_client.commands.watch import watch_command
 from refine_proto import errors
-from refine_proto.models import Event, Refinement, State
+from refine_proto.models import Event, Refinement, Severity, State, Validation
 
 COMMANDS = [
     submit_command,
+    validate_command,
     get_command,
     list_command,
     watch_command,
@@ -60,6 +62,22 @@ def test_submit_prints_the_id(submission: list[str], script: Script, capsys: Out
     assert (options["preset"], options["iterations"], options["seed"]) == ("fast", 20, 3)
     assert (options["symmetry_normal"], options["timeout_s"]) == ([1, 0, 0], 60)
     assert script.calls[0].authorization == "Bearer key-1"
+
+
+def test_validate_prints_what_looks_wrong(submission: list[str], script: Script, capsys: Output) -> None:
+    assert validate_command([*submission, "--checks", "strict", "--mesh-format", "obj"]) == 0
+    printed, shown = capsys.readouterr()
+    assert shown == ""
+    assert printed.splitlines() == [
+        "can be refined, 2D IoU 0.300",
+        "warning LOW_OVERLAP: expected more",
+        "warning: 2 of 9 triangles",
+    ]
+    assert script.uploads[""]["options"]["checks"] == "strict"
+    script.severity = Severity.REFUSED
+    assert validate_command([*submission, "--json"]) == 2
+    validation = Validation.model_validate_json(capsys.readouterr().out)
+    assert (validation.accepted, validation.checks[0].severity) == (False, Severity.REFUSED)
 
 
 def test_submit_wait_and_download(

@@ -44,6 +44,20 @@ def test_submit_takes_contents_too(face: Face, script: Script, camera: Camera) -
     assert "mesh_format" not in upload
 
 
+def test_validate_sends_the_same_and_gets_what_looks_wrong(
+    face: Face, script: Script, mesh: Path, silhouette: Path, camera: Camera
+) -> None:
+    script.failures = [errors.Unavailable("all slots are busy", retry_after_s=0.01)]
+    validation = face.call("validate", mesh, silhouette, camera, {"checks": "strict"})
+    assert (validation.accepted, validation.silhouette_iou) == (True, 0.3)
+    assert validation.warnings == ["2 of 9 triangles", "expected more"]
+    assert [finding.code for finding in validation.checks] == ["LOW_OVERLAP"]
+    upload = script.uploads[""]
+    assert (upload["mesh"], upload["mesh_format"]) == (mesh.read_bytes(), "obj")
+    assert upload["options"]["checks"] == "strict"
+    assert [call.name for call in script.calls] == ["validate", "validate"]  # retried while busy
+
+
 def test_get_list_cancel_delete(face: Face, script: Script) -> None:
     assert face.call("get", "job-1") == script.refinement()
     page = face.call("list", limit=1)

@@ -12,18 +12,19 @@ from pathlib import Path
 import torch
 
 from refine_engine.artifacts.make import make_artifacts
-from refine_engine.checks.check import GivenPlane
+from refine_engine.cameras.seen import mean_silhouette_iou
+from refine_engine.checks.check import GivenPlane, refuse
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.presets import make_config
-from refine_engine.request import Inputs, read_inputs
+from refine_engine.request import Inputs, check_files
 from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_proto.formats import ARTIFACTS
-from refine_proto.models import Artifact, RefinementOptions, RefinementSpec, SilhouetteIou
+from refine_proto.models import Artifact, RefinementOptions, RefinementSpec, SilhouetteIou, Validation
 from refine_proto.progress import ProgressMeter
 
-from ..messages import Done, FromEngine, Phase, PhaseStarted, Progressed, Run
+from ..messages import Answered, Done, FromEngine, Phase, PhaseStarted, Progressed, Run
 
 Tell = Callable[[FromEngine], None]
 
@@ -43,6 +44,7 @@ class Refinery:
         spec = RefinementSpec.model_validate(run.spec)
         config = config_of(spec.options)
         inputs = self._read(run.job_id, spec, config, tell)
+        refuse(inputs.findings)
         tell(PhaseStarted(phase=Phase.REFINE))
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
             result = inputs.refine(config, self._device, Reporter(tell), cancelled)
@@ -55,6 +57,13 @@ class Refinery:
             ),
             checks=inputs.findings,
         )
+
+    def validate(self, run: Run, tell: Tell) -> Answered:
+        """Say what `refine` would find in the inputs. Raises the engine's errors and MemoryShort."""
+        spec = RefinementSpec.model_validate(run.spec)
+        inputs = self._read(run.job_id, spec, config_of(spec.options), tell)
+        iou = mean_silhouette_iou(inputs.mesh_file.mesh, inputs.views)
+        return Answered(answer=Validation.of(iou, inputs.warnings, inputs.findings))
 
     def clear(self) -> None:
         """Give back what a job that has ended, in whatever way, held on the device: other slots want it.
@@ -72,7 +81,7 @@ class Refinery:
         tell(PhaseStarted(phase=Phase.READ))
         name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
         with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
-            return read_inputs(
+            return check_files(
                 mesh,
                 name,
                 silhouette,
