@@ -67,6 +67,8 @@ class Script:
     newer: bool = False
     """Whether every watch begins with an event of a type and a state that only a newer version knows."""
 
+    checks: list[Finding] = field(default_factory=list)
+    """What was found in the inputs of the refinement."""
     severity: Severity = Severity.WARNING
     """Of what a validation finds."""
 
@@ -118,6 +120,7 @@ class Script:
             expires_at=NOW,
             artifacts=artifacts if done else [],
             silhouette_iou=SilhouetteIou(before=0.5, after=0.9) if done else None,
+            checks=self.checks if done else [],
             error=self.error.problem(request_id="req-job") if self.error and state.terminal else None,
             queue_position=3 if state is State.QUEUED else None,
         )

@@ -44,6 +44,8 @@ def see_through(client: RefineClient, refinement: Refinement, as_json: bool, out
             refinement = event.refinement or refinement
     if error := error_of(refinement):
         raise error
+    for finding in refinement.checks:
+        display.warn(finding.message)
     display.finish(refinement)
     if output is not None:
         display.written(client.download(refinement.id, output))

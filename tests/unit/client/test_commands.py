@@ -26,7 +26,8 @@ from refine_client.commands.submit import submit_command
 from refine_client.commands.validate import validate_command
 from refine_client.commands.watch import watch_command
 from refine_proto import errors
-from refine_proto.models import Event, Refinement, Severity, State, Validation
+from refine_proto.checks import Code
+from refine_proto.models import Event, Finding, Refinement, Severity, State, Validation
 
 COMMANDS = [
     submit_command,
@@ -94,6 +95,12 @@ def test_submit_wait_and_download(
     assert lines[1:3] == ["queued", "running"]
     assert lines[3] == f"iteration 1/{STEPS}  0 s left  loss 1.500  2D IoU 0.750"
     assert lines[-1] == "succeeded"
+
+
+def test_submit_wait_tells_what_looked_wrong(submission: list[str], script: Script, capsys: Output) -> None:
+    script.checks = [Finding(code=Code.LOW_OVERLAP, severity=Severity.WARNING, message="expected more")]
+    assert submit_command([*submission, "--wait"]) == 0
+    assert capsys.readouterr().err.splitlines()[-1] == "warning: expected more"
 
 
 def test_submit_json_is_events_and_artifacts(
