@@ -20,6 +20,7 @@ from .spec import AXES, DIRECTIONS, WrittenPose
 
 UNITS = (10.0, 100.0, 1000.0)  # millimetres, centimetres and metres in any two places
 LARGEST_NORMALISED = 10.0  # fx in widths of the image; in pixels it is larger
+SENSOR_MM = 36.0  # the longest side of a 35 mm picture, which Blender's lenses are told for
 SAME = 1e-4  # relative: cameras this near see the same
 
 _FLIP_X = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0]))
@@ -111,6 +112,16 @@ def _lens(spec: CameraSpec, given: Camera) -> Iterator[tuple[str, Camera]]:
     yield (
         "the principal point counted from the middle of the image",
         replace(given, cx=given.cx + width / 2, cy=given.cy + height / 2),
+    )
+    yield (
+        "x and y of the intrinsics swapped",
+        replace(given, fx=given.fy, fy=given.fx, cx=given.cy, cy=given.cx),
+    )
+    yield "the principal point in the middle of the image", replace(given, cx=width / 2, cy=height / 2)
+    per_mm = max(width, height) / SENSOR_MM
+    yield (
+        "a focal length in millimetres, of 36 mm film",
+        replace(given, fx=given.fx * per_mm, fy=given.fy * per_mm, cx=width / 2, cy=height / 2),
     )
 
 

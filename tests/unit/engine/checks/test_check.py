@@ -160,16 +160,25 @@ def test_other_units_of_the_intrinsics_are_named(scale: tuple[float, float], nam
     assert findings[0].reading.name == name
 
 
-def test_a_principal_point_from_the_middle_and_normalised_device_units_are_named() -> None:
+@pytest.mark.parametrize(
+    ("scale", "cx", "cy", "name"),
+    [
+        (1.0, 0.0, 0.0, "the principal point counted from the middle of the image"),
+        (1.0, 20.0, 50.0, "the principal point in the middle of the image"),
+        (1.0, 60.0, 10.0, "the principal point in the middle of the image"),
+        (1.0, HEIGHT / 2, WIDTH / 2, "x and y of the intrinsics swapped"),
+        (36 / WIDTH, WIDTH / 2, HEIGHT / 2, "a focal length in millimetres, of 36 mm film"),
+        (2 / HEIGHT, 0.01, 0.01, "intrinsics in PyTorch3D's normalised device units"),
+    ],
+)
+def test_other_principal_points_and_units_of_length_are_named(
+    scale: float, cx: float, cy: float, name: str
+) -> None:
     true = camera_of(LOOK_AT)
-    from_middle = {"fx": true.fx, "fy": true.fy, "cx": 0, "cy": 0}
-    reading = found(matrix(true, intrinsics=from_middle), picture(true))[0].reading
+    intrinsics = {"fx": true.fx * scale, "fy": true.fy * scale, "cx": cx, "cy": cy}
+    reading = found(matrix(true, intrinsics=intrinsics), picture(true))[0].reading
     assert reading is not None
-    assert reading.name == "the principal point counted from the middle of the image"
-    ndc = {"fx": true.fx / 32, "fy": true.fy / 32, "cx": 0.01, "cy": 0.01}
-    reading = found(matrix(true, intrinsics=ndc), picture(true))[0].reading
-    assert reading is not None
-    assert reading.name == "intrinsics in PyTorch3D's normalised device units"
+    assert reading.name == name
 
 
 def test_units_of_an_orthographic_camera_are_named() -> None:
