@@ -10,6 +10,7 @@ from .aio import AsyncRefineClient
 from .client import RefineClient, Refined
 from .errors import ConnectionLost, DownloadCorrupt
 from .retry import RetryPolicy
+from .upload import View
 
 __all__ = [
     "AsyncRefineClient",
@@ -18,4 +19,5 @@ __all__ = [
     "RefineClient",
     "Refined",
     "RetryPolicy",
+    "View",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -12,12 +12,22 @@ from refine_proto.formats import SILHOUETTE_THRESHOLD
 
 from .cameras.in_view import check_in_view
 from .cameras.spec import camera_from_spec
+from .errors import InputError
 from .files.limits import MeshLimits
 from .files.mesh_file import MeshFile, read_mesh
-from .files.png import read_silhouette
+from .files.silhouette import read_silhouette
 from .method.config import RefineConfig
 from .method.loop import refine
 from .values import Progress, Result, View
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The files of one view: an image of the silhouette and the camera that saw it."""
+
+    silhouette: bytes
+    camera: CameraSpec
+    ignore: bytes | None = None  # an image of the pixels of which nothing is known
 
 
 @dataclass(frozen=True)
@@ -50,20 +60,46 @@ def read_inputs(
     camera: CameraSpec,
     silhouette_threshold: float = SILHOUETTE_THRESHOLD,
     limits: MeshLimits = MeshLimits(),
+    *,
+    ignore_grey: int | None = None,
+    ignore: bytes | None = None,
+    more_views: Sequence[Observation] = (),
 ) -> Inputs:
-    """Read a mesh file and a silhouette image, for a camera as `read_camera` gives it.
+    """Read a mesh file and a silhouette image, for a camera as `read_camera` gives it; and further views.
 
-    `mesh_name` matters for its suffix where the bytes do not tell the format. Raises an InputError: the mesh,
-    the silhouette or the camera is invalid, or the camera does not see the mesh.
+    `mesh_name` matters for its suffix where the bytes do not tell the format; see `read_silhouette` for
+    `ignore_grey` and `ignore`. Raises an InputError: the mesh, a silhouette or a camera is invalid, or a
+    camera does not see the mesh.
     """
     mesh_file = read_mesh(mesh, mesh_name, limits)
-    view = read_view(silhouette, camera, silhouette_threshold)
-    doubt = check_in_view(mesh_file.mesh, view, camera)
-    return Inputs(mesh_file, (view,), (*mesh_file.warnings, *([doubt] if doubt else [])))
+    views, warnings = [], [*mesh_file.warnings]
+    for number, observation in enumerate([Observation(silhouette, camera, ignore), *more_views], 1):
+        told = f"view {number}: " if more_views else ""
+        try:
+            view, odd = _read_view(observation, silhouette_threshold, ignore_grey)
+            doubt = check_in_view(mesh_file.mesh, view, observation.camera)
+        except InputError as error:
+            raise type(error)(f"{told}{error}") from error
+        views.append(view)
+        warnings += [told + warning for warning in (*odd, *([doubt] if doubt else []))]
+    return Inputs(mesh_file, tuple(views), tuple(warnings))
 
 
-def read_view(silhouette: bytes, camera: CameraSpec, threshold: float = SILHOUETTE_THRESHOLD) -> View:
+def read_view(
+    silhouette: bytes,
+    camera: CameraSpec,
+    threshold: float = SILHOUETTE_THRESHOLD,
+    ignore_grey: int | None = None,
+    ignore: bytes | None = None,
+) -> View:
     """A silhouette image and the camera that saw it; raises SilhouetteInvalid or CameraInvalid."""
-    coverage = read_silhouette(silhouette, threshold)
-    height, width = coverage.shape
-    return View(coverage, camera_from_spec(camera, width, height))
+    return _read_view(Observation(silhouette, camera, ignore), threshold, ignore_grey)[0]
+
+
+def _read_view(
+    observation: Observation, threshold: float, ignore_grey: int | None
+) -> tuple[View, tuple[str, ...]]:
+    """The view, and what is odd about its silhouette."""
+    read = read_silhouette(observation.silhouette, threshold, ignore_grey, observation.ignore)
+    height, width = read.coverage.shape
+    return View(read.coverage, camera_from_spec(observation.camera, width, height), read.known), read.warnings

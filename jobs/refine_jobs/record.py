@@ -24,7 +24,7 @@ from refine_proto.models import (
 
 from .blobs import Blob
 
-_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou")
+_JSON = ("spec", "mesh", "silhouette", "more_files", "progress", "error", "artifacts", "silhouette_iou")
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
 
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 
 class Submission(BaseModel):
-    """What the edge hands over once both files are in the blob store."""
+    """What the edge hands over once all files are in the blob store."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -41,6 +41,7 @@ class Submission(BaseModel):
     spec: RefinementSpec
     mesh: Blob
     silhouette: Blob
+    more_files: Mapping[str, Blob] = {}  # by their names in the request: ignore, silhouette_2, ...
     idempotency_key: str | None = None
     request_id: str | None = None
     traceparent: str | None = None
@@ -58,6 +59,7 @@ class Job(BaseModel):
     spec: Mapping[str, Any]  # a RefinementSpec, checked at the edge: only who refines reads it again
     mesh: Blob
     silhouette: Blob
+    more_files: Mapping[str, Blob] = {}
     created_at: datetime
     expires_at: datetime
     started_at: datetime | None = None

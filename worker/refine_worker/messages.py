@@ -42,6 +42,7 @@ class Run(_Message):
     job_id: str
     attempt: int
     spec: Mapping[str, Any]
+    more_files: tuple[str, ...] = ()  # beside the mesh and the silhouette: ignore, silhouette_2, ...
     log_fields: dict[str, str] = {}
 
 

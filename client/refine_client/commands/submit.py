@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from refine_proto.cameras import CAMERA_SPEC, CameraSpec
 from refine_proto.commands.ending import Parser
-from refine_proto.commands.options import add_options, read_options
+from refine_proto.commands.options import add_options, add_views, read_options, read_views
 from refine_proto.errors import from_validation
 from refine_proto.models import MeshFormat
 
+from ..upload import View
 from .server_command import command, connect, make_parser
 from .watch import see_through
 
@@ -31,16 +33,21 @@ camera.json
 def submit_command(argv: Sequence[str]) -> None:
     """Run `refine submit`."""
     arguments = submit_parser().parse_args(argv)
-    camera = _read_camera(arguments.camera)
+    first, *further = [
+        View(paths.silhouette, _read_camera(paths.camera, place), paths.ignore)
+        for place, paths in zip(_places(), read_views(arguments), strict=False)
+    ]
     options = read_options(arguments)
     if arguments.output is not None:
         arguments.output.mkdir(parents=True, exist_ok=True)  # before the job, not after it
     with connect(arguments) as client:
         refinement = client.submit(
             arguments.mesh,
-            arguments.silhouette,
-            camera,
+            first.silhouette,
+            first.camera,
             options,
+            ignore=first.ignore,
+            views=further,
             mesh_format=arguments.mesh_format,
             idempotency_key=arguments.idempotency_key,
         )
@@ -57,11 +64,18 @@ def submit_command(argv: Sequence[str]) -> None:
             raise
 
 
-def _read_camera(path: Path) -> CameraSpec:
+def _places() -> Iterator[tuple[str | int, ...]]:
+    """Where the cameras of the views sit in a request."""
+    yield ("camera",)
+    for number in count():
+        yield ("views", number, "camera")
+
+
+def _read_camera(path: Path, place: tuple[str | int, ...]) -> CameraSpec:
     try:
         return CAMERA_SPEC.validate_json(path.read_bytes())
     except ValidationError as error:
-        raise from_validation(error.errors(), under=("camera",)) from None
+        raise from_validation(error.errors(), under=place) from None
 
 
 def submit_parser() -> Parser:
@@ -70,8 +84,7 @@ def submit_parser() -> Parser:
         "submit", "Send a mesh, its silhouette and the camera to a server and print the id.", EXAMPLE
     )
     parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
-    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="see below")
+    add_views(parser)
     parser.add_argument("--wait", action="store_true", help="follow it to its end, with a progress bar")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="wait, then download all artifacts")
     parser.add_argument(

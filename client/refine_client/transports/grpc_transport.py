@@ -32,10 +32,10 @@ class GrpcTransport:
 
     def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            deadline_s = grpc_messages.transfer_s(self._connection, sum(file.size_bytes for file in files))
-            message = self._call(
-                self._stub.CreateRefinement, grpc_messages.create(upload, *files), deadline_s
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
             )
+            message = self._call(self._stub.CreateRefinement, grpc_messages.create(upload, files), deadline_s)
         return grpc_messages.parse(message, Refinement)
 
     def get(self, refinement_id: str) -> Refinement:
@@ -114,9 +114,11 @@ class AsyncGrpcTransport:
 
     async def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            deadline_s = grpc_messages.transfer_s(self._connection, sum(file.size_bytes for file in files))
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
             message = await self._call(
-                self._stub.CreateRefinement, grpc_messages.create(upload, *files), deadline_s
+                self._stub.CreateRefinement, grpc_messages.create(upload, files), deadline_s
             )
         return grpc_messages.parse(message, Refinement)
 

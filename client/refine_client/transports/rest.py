@@ -27,7 +27,7 @@ class RestTransport:
 
     def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            response = self._send(rest_messages.create(upload), files=rest_messages.parts(upload, *files))
+            response = self._send(rest_messages.create(upload), files=rest_messages.parts(upload, files))
         return rest_messages.parse(response, Refinement)
 
     def get(self, refinement_id: str) -> Refinement:
@@ -101,7 +101,7 @@ class AsyncRestTransport:
     async def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
             response = await self._send(
-                rest_messages.create(upload), files=rest_messages.parts(upload, *files)
+                rest_messages.create(upload), files=rest_messages.parts(upload, files)
             )
         return rest_messages.parse(response, Refinement)
 

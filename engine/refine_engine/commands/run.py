@@ -15,7 +15,7 @@ from refine_proto import errors as contract
 from refine_proto.commands.cores import usable_cores
 from refine_proto.commands.display import Display, choose_display
 from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
-from refine_proto.commands.options import add_options, read_options
+from refine_proto.commands.options import add_options, add_views, read_options, read_views
 from refine_proto.models import Refinement
 
 from ..artifacts.make import make_artifacts
@@ -24,7 +24,7 @@ from ..errors import InputError, OptionsInvalid, RefineError
 from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
 from ..method.presets import make_config
-from ..request import Inputs, read_inputs
+from ..request import Inputs, Observation, read_inputs
 from .events import RunEvents
 
 
@@ -62,8 +62,7 @@ def run_parser() -> Parser:
         epilog="`refine docs conventions` explains cameras, silhouettes and units.",
     )
     parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
-    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
+    add_views(parser)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="for the artifacts")
     parser.add_argument(
         "--device", choices=["auto", "cpu", "cuda"], default="auto", help="auto: CUDA if present"
@@ -87,12 +86,23 @@ def _run(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(arguments.threads)
     keep_float32()
     _check_target(arguments.output)
+    first, *further = [
+        Observation(
+            _read(paths.silhouette),
+            read_camera(_read(paths.camera)),
+            _read(paths.ignore) if paths.ignore else None,
+        )
+        for paths in read_views(arguments)
+    ]
     inputs = read_inputs(
         _read(arguments.mesh),
         arguments.mesh.name,
-        _read(arguments.silhouette),
-        read_camera(_read(arguments.camera)),
+        first.silhouette,
+        first.camera,
         options.silhouette_threshold,
+        ignore_grey=options.ignore_grey,
+        ignore=first.ignore,
+        more_views=further,
     )
     display = choose_display(arguments.json)
     with display:

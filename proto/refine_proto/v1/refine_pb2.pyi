@@ -12,7 +12,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RefinementOptions(_message.Message):
-    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s")
+    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s", "ignore_grey")
     class Preset(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PRESET_UNSPECIFIED: _ClassVar[RefinementOptions.Preset]
@@ -30,6 +30,7 @@ class RefinementOptions(_message.Message):
     SYMMETRY_OFFSET_FIELD_NUMBER: _ClassVar[int]
     SILHOUETTE_THRESHOLD_FIELD_NUMBER: _ClassVar[int]
     TIMEOUT_S_FIELD_NUMBER: _ClassVar[int]
+    IGNORE_GREY_FIELD_NUMBER: _ClassVar[int]
     preset: RefinementOptions.Preset
     iterations: int
     seed: int
@@ -37,7 +38,8 @@ class RefinementOptions(_message.Message):
     symmetry_offset: float
     silhouette_threshold: float
     timeout_s: float
-    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ...) -> None: ...
+    ignore_grey: int
+    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., ignore_grey: _Optional[int] = ...) -> None: ...
 
 class CameraSpec(_message.Message):
     __slots__ = ("look_at", "matrix")
@@ -110,7 +112,7 @@ class Intrinsics(_message.Message):
     def __init__(self, fx: _Optional[float] = ..., fy: _Optional[float] = ..., cx: _Optional[float] = ..., cy: _Optional[float] = ..., width: _Optional[int] = ..., height: _Optional[int] = ...) -> None: ...
 
 class RefinementSpec(_message.Message):
-    __slots__ = ("camera", "options", "mesh_format")
+    __slots__ = ("camera", "options", "mesh_format", "views")
     class MeshFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         MESH_FORMAT_UNSPECIFIED: _ClassVar[RefinementSpec.MeshFormat]
@@ -130,10 +132,18 @@ class RefinementSpec(_message.Message):
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
     MESH_FORMAT_FIELD_NUMBER: _ClassVar[int]
+    VIEWS_FIELD_NUMBER: _ClassVar[int]
     camera: CameraSpec
     options: RefinementOptions
     mesh_format: RefinementSpec.MeshFormat
-    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., mesh_format: _Optional[_Union[RefinementSpec.MeshFormat, str]] = ...) -> None: ...
+    views: _containers.RepeatedCompositeFieldContainer[View]
+    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., mesh_format: _Optional[_Union[RefinementSpec.MeshFormat, str]] = ..., views: _Optional[_Iterable[_Union[View, _Mapping]]] = ...) -> None: ...
+
+class View(_message.Message):
+    __slots__ = ("camera",)
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    camera: CameraSpec
+    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ...) -> None: ...
 
 class Refinement(_message.Message):
     __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls")
@@ -305,7 +315,7 @@ class FieldError(_message.Message):
     def __init__(self, pointer: _Optional[str] = ..., detail: _Optional[str] = ...) -> None: ...
 
 class CreateRefinementRequest(_message.Message):
-    __slots__ = ("header", "mesh_chunk", "silhouette_chunk")
+    __slots__ = ("header", "mesh_chunk", "silhouette_chunk", "file_chunk")
     class Header(_message.Message):
         __slots__ = ("request_id", "spec", "mesh_bytes", "silhouette_bytes")
         REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -320,10 +330,20 @@ class CreateRefinementRequest(_message.Message):
     HEADER_FIELD_NUMBER: _ClassVar[int]
     MESH_CHUNK_FIELD_NUMBER: _ClassVar[int]
     SILHOUETTE_CHUNK_FIELD_NUMBER: _ClassVar[int]
+    FILE_CHUNK_FIELD_NUMBER: _ClassVar[int]
     header: CreateRefinementRequest.Header
     mesh_chunk: bytes
     silhouette_chunk: bytes
-    def __init__(self, header: _Optional[_Union[CreateRefinementRequest.Header, _Mapping]] = ..., mesh_chunk: _Optional[bytes] = ..., silhouette_chunk: _Optional[bytes] = ...) -> None: ...
+    file_chunk: FileChunk
+    def __init__(self, header: _Optional[_Union[CreateRefinementRequest.Header, _Mapping]] = ..., mesh_chunk: _Optional[bytes] = ..., silhouette_chunk: _Optional[bytes] = ..., file_chunk: _Optional[_Union[FileChunk, _Mapping]] = ...) -> None: ...
+
+class FileChunk(_message.Message):
+    __slots__ = ("part", "data")
+    PART_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    part: str
+    data: bytes
+    def __init__(self, part: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class GetRefinementRequest(_message.Message):
     __slots__ = ("id",)

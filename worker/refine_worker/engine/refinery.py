@@ -14,11 +14,11 @@ import torch
 from refine_engine.artifacts.make import make_artifacts
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.presets import make_config
-from refine_engine.request import Inputs, read_inputs
+from refine_engine.request import Inputs, Observation, read_inputs
 from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_proto.formats import ARTIFACTS
+from refine_proto.formats import ARTIFACTS, IGNORE, MESH, SILHOUETTE, of_view
 from refine_proto.models import Artifact, RefinementOptions, RefinementSpec, SilhouetteIou
 from refine_proto.progress import ProgressMeter
 
@@ -40,7 +40,7 @@ class Refinery:
     def refine(self, run: Run, tell: Tell, cancelled: Callable[[], bool]) -> Done:
         """Do the job. Raises the engine's errors and MemoryShort."""
         spec = RefinementSpec.model_validate(run.spec)
-        inputs = self._read(run.job_id, spec, tell)
+        inputs = self._read(run, spec, tell)
         config = config_of(spec.options)
         tell(PhaseStarted(phase=Phase.REFINE))
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
@@ -63,14 +63,27 @@ class Refinery:
         if self._device.type == "cuda":
             torch.cuda.empty_cache()
 
-    def _read(self, job_id: str, spec: RefinementSpec, tell: Tell) -> Inputs:
-        mesh, silhouette = (
-            self._blobs.get(keys.input_blob(job_id, part)) for part in (keys.MESH, keys.SILHOUETTE)
-        )
+    def _read(self, run: Run, spec: RefinementSpec, tell: Tell) -> Inputs:
+        files = {
+            part: self._blobs.get(keys.input_blob(run.job_id, part))
+            for part in (MESH, SILHOUETTE, *run.more_files)
+        }
         tell(PhaseStarted(phase=Phase.READ))
         name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
         with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
-            return read_inputs(mesh, name, silhouette, spec.camera, spec.options.silhouette_threshold)
+            return read_inputs(
+                files[MESH],
+                name,
+                files[SILHOUETTE],
+                spec.camera,
+                spec.options.silhouette_threshold,
+                ignore_grey=spec.options.ignore_grey,
+                ignore=files.get(IGNORE),
+                more_views=[
+                    Observation(files[of_view(SILHOUETTE, n)], view.camera, files.get(of_view(IGNORE, n)))
+                    for n, view in enumerate(spec.views, 2)
+                ],
+            )
 
     def _store(self, run: Run, artifacts: Mapping[str, bytes]) -> tuple[Artifact, ...]:
         stored = {

@@ -59,7 +59,15 @@ class Attempt:
 
     def _run(self) -> Done | Failed:
         engine, job = self._slot.engine, self._job
-        engine.run(Run(job_id=job.id, attempt=job.attempt, spec=job.spec, log_fields=fields_of(job)))
+        engine.run(
+            Run(
+                job_id=job.id,
+                attempt=job.attempt,
+                spec=job.spec,
+                more_files=tuple(job.more_files),
+                log_fields=fields_of(job),
+            )
+        )
         next_tick = self._started + _TICK_S
         while True:
             message = engine.receive(max(0.0, self._wake_at(next_tick) - time.monotonic()))
