@@ -6,6 +6,8 @@
 Values are those of `refine_proto.models`, errors those of `refine_proto.errors`. `cli` is `refine`.
 """
 
+from refine_proto.camera_files import read_camera_file
+
 from .aio import AsyncRefineClient
 from .client import RefineClient, Refined
 from .errors import ConnectionLost, DownloadCorrupt
@@ -20,4 +22,5 @@ __all__ = [
     "Refined",
     "RetryPolicy",
     "View",
+    "read_camera_file",
 ]

@@ -120,9 +120,9 @@ class Camera:
         return Camera(torch.tensor(rows), f, f, width / 2, height / 2, width, height)
 
 
-def focal_length(fov_y_degrees: float, height: int) -> float:
-    """Pixels: of an image that is `height` pixels high and sees so much from top to bottom."""
-    return 0.5 * height / math.tan(math.radians(fov_y_degrees) / 2)
+def focal_length(fov_degrees: float, pixels: int) -> float:
+    """Pixels: of an image that sees so much over `pixels` of its height, or of its width."""
+    return 0.5 * pixels / math.tan(math.radians(fov_degrees) / 2)
 
 
 @dataclass(frozen=True)

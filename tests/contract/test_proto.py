@@ -57,6 +57,7 @@ def _tags() -> list[Any]:
     return [
         models.LookAtCamera.model_fields["type"].annotation,
         models.MatrixCamera.model_fields["type"].annotation,
+        models.PyTorch3DCamera.model_fields["type"].annotation,
     ]
 
 

@@ -7,12 +7,9 @@ from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from refine_proto.cameras import CAMERA_SPEC, CameraSpec
+from refine_proto.camera_files import read_camera_file
 from refine_proto.commands.ending import Parser
 from refine_proto.commands.options import add_options, add_views, read_options, read_views
-from refine_proto.errors import from_validation
 from refine_proto.models import MeshFormat
 
 from ..upload import View
@@ -25,7 +22,7 @@ EXAMPLE = """\
 
 camera.json
   {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9, "fov_y_degrees": 60}
-  or a matrix: refine docs conventions
+  or another form, transforms.json#FRAME or COLMAP_FOLDER#IMAGE: refine docs conventions
 """
 
 
@@ -34,7 +31,7 @@ def submit_command(argv: Sequence[str]) -> None:
     """Run `refine submit`."""
     arguments = submit_parser().parse_args(argv)
     first, *further = [
-        View(paths.silhouette, _read_camera(paths.camera, place), paths.ignore)
+        View(paths.silhouette, read_camera_file(paths.camera, place), paths.ignore)
         for place, paths in zip(_places(), read_views(arguments), strict=False)
     ]
     options = read_options(arguments)
@@ -69,13 +66,6 @@ def _places() -> Iterator[tuple[str | int, ...]]:
     yield ("camera",)
     for number in count():
         yield ("views", number, "camera")
-
-
-def _read_camera(path: Path, place: tuple[str | int, ...]) -> CameraSpec:
-    try:
-        return CAMERA_SPEC.validate_json(path.read_bytes())
-    except ValidationError as error:
-        raise from_validation(error.errors(), under=place) from None
 
 
 def submit_parser() -> Parser:

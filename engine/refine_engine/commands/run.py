@@ -12,6 +12,8 @@ from pathlib import Path
 import torch
 
 from refine_proto import errors as contract
+from refine_proto.camera_files import read_camera_file
+from refine_proto.cameras import CameraSpec
 from refine_proto.commands.cores import usable_cores
 from refine_proto.commands.display import Display, choose_display
 from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
@@ -19,7 +21,6 @@ from refine_proto.commands.options import add_options, add_views, read_options, 
 from refine_proto.models import Refinement
 
 from ..artifacts.make import make_artifacts
-from ..cameras.spec import read_camera
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
@@ -89,7 +90,7 @@ def _run(arguments: argparse.Namespace) -> None:
     first, *further = [
         Observation(
             _read(paths.silhouette),
-            read_camera(_read(paths.camera)),
+            _camera(paths.camera),
             _read(paths.ignore) if paths.ignore else None,
         )
         for paths in read_views(arguments)
@@ -138,6 +139,13 @@ def _device(name: str) -> torch.device:
 def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
+
+
+def _camera(path: Path) -> CameraSpec:
+    try:
+        return read_camera_file(path)
     except OSError as error:
         raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
 

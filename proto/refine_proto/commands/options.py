@@ -27,7 +27,10 @@ def add_views(parser: argparse.ArgumentParser) -> None:
         "silhouette", type=Path, metavar="SILHOUETTE",
         help="PNG, JPEG, WebP, TIFF or BMP: alpha, or white on black",
     )  # fmt: skip
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
+    parser.add_argument(
+        "--camera", type=Path, required=True, metavar="CAMERA.json",
+        help="of the silhouette; or transforms.json#FRAME, COLMAP_FOLDER#IMAGE",
+    )  # fmt: skip
     parser.add_argument(
         "--ignore", type=Path, metavar="IMAGE", help="where it shows an object, nothing is known (none)"
     )

@@ -42,27 +42,33 @@ class RefinementOptions(_message.Message):
     def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., ignore_grey: _Optional[int] = ...) -> None: ...
 
 class CameraSpec(_message.Message):
-    __slots__ = ("look_at", "matrix")
+    __slots__ = ("look_at", "matrix", "pytorch3d")
     LOOK_AT_FIELD_NUMBER: _ClassVar[int]
     MATRIX_FIELD_NUMBER: _ClassVar[int]
+    PYTORCH3D_FIELD_NUMBER: _ClassVar[int]
     look_at: LookAtCamera
     matrix: MatrixCamera
-    def __init__(self, look_at: _Optional[_Union[LookAtCamera, _Mapping]] = ..., matrix: _Optional[_Union[MatrixCamera, _Mapping]] = ...) -> None: ...
+    pytorch3d: PyTorch3DCamera
+    def __init__(self, look_at: _Optional[_Union[LookAtCamera, _Mapping]] = ..., matrix: _Optional[_Union[MatrixCamera, _Mapping]] = ..., pytorch3d: _Optional[_Union[PyTorch3DCamera, _Mapping]] = ...) -> None: ...
 
 class LookAtCamera(_message.Message):
-    __slots__ = ("azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees")
+    __slots__ = ("azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees", "fov_x_degrees", "roll_degrees")
     AZIMUTH_DEGREES_FIELD_NUMBER: _ClassVar[int]
     ELEVATION_DEGREES_FIELD_NUMBER: _ClassVar[int]
     DISTANCE_FIELD_NUMBER: _ClassVar[int]
     FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    FOV_X_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ROLL_DEGREES_FIELD_NUMBER: _ClassVar[int]
     azimuth_degrees: float
     elevation_degrees: float
     distance: float
     fov_y_degrees: float
-    def __init__(self, azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., distance: _Optional[float] = ..., fov_y_degrees: _Optional[float] = ...) -> None: ...
+    fov_x_degrees: float
+    roll_degrees: float
+    def __init__(self, azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., distance: _Optional[float] = ..., fov_y_degrees: _Optional[float] = ..., fov_x_degrees: _Optional[float] = ..., roll_degrees: _Optional[float] = ...) -> None: ...
 
 class MatrixCamera(_message.Message):
-    __slots__ = ("convention", "world_to_camera", "camera_to_world", "intrinsics", "fov_y_degrees", "projection")
+    __slots__ = ("convention", "world_to_camera", "camera_to_world", "intrinsics", "fov_y_degrees", "projection", "fov_x_degrees")
     class Convention(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         CONVENTION_UNSPECIFIED: _ClassVar[MatrixCamera.Convention]
@@ -87,13 +93,29 @@ class MatrixCamera(_message.Message):
     INTRINSICS_FIELD_NUMBER: _ClassVar[int]
     FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
     PROJECTION_FIELD_NUMBER: _ClassVar[int]
+    FOV_X_DEGREES_FIELD_NUMBER: _ClassVar[int]
     convention: MatrixCamera.Convention
     world_to_camera: _containers.RepeatedScalarFieldContainer[float]
     camera_to_world: _containers.RepeatedScalarFieldContainer[float]
     intrinsics: Intrinsics
     fov_y_degrees: float
     projection: MatrixCamera.Projection
-    def __init__(self, convention: _Optional[_Union[MatrixCamera.Convention, str]] = ..., world_to_camera: _Optional[_Iterable[float]] = ..., camera_to_world: _Optional[_Iterable[float]] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., fov_y_degrees: _Optional[float] = ..., projection: _Optional[_Union[MatrixCamera.Projection, str]] = ...) -> None: ...
+    fov_x_degrees: float
+    def __init__(self, convention: _Optional[_Union[MatrixCamera.Convention, str]] = ..., world_to_camera: _Optional[_Iterable[float]] = ..., camera_to_world: _Optional[_Iterable[float]] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., fov_y_degrees: _Optional[float] = ..., projection: _Optional[_Union[MatrixCamera.Projection, str]] = ..., fov_x_degrees: _Optional[float] = ...) -> None: ...
+
+class PyTorch3DCamera(_message.Message):
+    __slots__ = ("R", "T", "intrinsics", "fov_y_degrees", "fov_x_degrees")
+    R_FIELD_NUMBER: _ClassVar[int]
+    T_FIELD_NUMBER: _ClassVar[int]
+    INTRINSICS_FIELD_NUMBER: _ClassVar[int]
+    FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    FOV_X_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    R: _containers.RepeatedScalarFieldContainer[float]
+    T: _containers.RepeatedScalarFieldContainer[float]
+    intrinsics: Intrinsics
+    fov_y_degrees: float
+    fov_x_degrees: float
+    def __init__(self, R: _Optional[_Iterable[float]] = ..., T: _Optional[_Iterable[float]] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., fov_y_degrees: _Optional[float] = ..., fov_x_degrees: _Optional[float] = ...) -> None: ...
 
 class Intrinsics(_message.Message):
     __slots__ = ("fx", "fy", "cx", "cy", "width", "height")
