@@ -5,6 +5,7 @@
     {"type": "matrix", "convention": "opencv", "world_to_camera": [[...], ...],
      "intrinsics": {"fx": 500, "fy": 500, "cx": 320, "cy": 240, "width": 640, "height": 480}}
     {"type": "pytorch3d", "R": [[...], ...], "T": [...], "fov_y_degrees": 60}
+    {"type": "network", "name": "sf3d"}
 
 What is wrong with a camera is said here and nowhere else; docs/conventions.md explains the forms.
 """
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, field_validator, model_validator
 
+from .network_cameras import DISTANCE_OF, PIXEL2MESH_FOV_DEGREES, SPHERES, Network
 from .strict import Input, Number, Positive, finite, short
 
 FieldOfView = Annotated[float, Field(ge=1e-3, lt=180.0), BeforeValidator(finite)]
@@ -213,19 +215,57 @@ class PyTorch3DCamera(Input):
         return MatrixCamera.model_validate({"convention": "pytorch3d", "world_to_camera": rows, **lens})
 
 
+class NetworkCamera(Input):
+    """The camera of a network's input image, as its project publishes it, in the frame of its output."""
+
+    type: Literal["network"] = "network"
+    name: Network
+    azimuth_degrees: Number | None = Field(None, description="In the network's own sense; 0 if left out.")
+    elevation_degrees: Annotated[Number, Field(ge=-90.0, le=90.0)] | None = Field(
+        None, description="0 if left out."
+    )
+    distance: Positive | None = Field(None, description="Unset: the published one.")
+    fov_y_degrees: FieldOfView | None = Field(None, description="Unset: the published one.")
+
+    @model_validator(mode="after")
+    def _fits_the_network(self) -> Self:
+        placed = ("azimuth_degrees", "elevation_degrees", "distance")
+        told = [name for name in placed if getattr(self, name) is not None]
+        if self.name not in SPHERES and told:
+            raise ValueError(f"expected no {told[0]}: {self.name}'s output is in its camera's own axes")
+        if self.name in DISTANCE_OF and self.distance is None:
+            raise ValueError(f"expected distance, got none; for {self.name} {DISTANCE_OF[self.name]}")
+        return self
+
+    def plain(self) -> MatrixCamera:
+        """The same camera as a matrix."""
+        if self.name not in SPHERES:
+            rows: Any = [(1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)]
+            fov = PIXEL2MESH_FOV_DEGREES
+        else:
+            sphere = SPHERES[self.name]
+            distance = self.distance or sphere.distance or 0.0
+            rows = sphere.camera_to_world(
+                self.azimuth_degrees or 0.0, self.elevation_degrees or 0.0, distance
+            )
+            fov = sphere.fov_y_degrees
+        told = {"convention": "opengl", "camera_to_world": rows, "fov_y_degrees": self.fov_y_degrees or fov}
+        return MatrixCamera.model_validate(told)
+
+
 PlainCamera = LookAtCamera | MatrixCamera
 """The two forms that all others become once they are read."""
 
 
-def _plain(camera: PlainCamera | PyTorch3DCamera) -> PlainCamera:
-    return camera.plain() if isinstance(camera, PyTorch3DCamera) else camera
+def _plain(camera: PlainCamera | PyTorch3DCamera | NetworkCamera) -> PlainCamera:
+    return camera.plain() if isinstance(camera, PyTorch3DCamera | NetworkCamera) else camera
 
 
 if TYPE_CHECKING:
     CameraSpec = PlainCamera  # what reading gives
 else:
     CameraSpec = Annotated[
-        Annotated[LookAtCamera | MatrixCamera | PyTorch3DCamera, Field(discriminator="type")],
+        Annotated[LookAtCamera | MatrixCamera | PyTorch3DCamera | NetworkCamera, Field(discriminator="type")],
         AfterValidator(_plain),
     ]
 """The camera that saw the silhouette, tagged by `type`, in any of its forms; once read, a PlainCamera."""

@@ -21,6 +21,7 @@ from .cameras import CameraSpec as CameraSpec
 from .cameras import Intrinsics as Intrinsics
 from .cameras import LookAtCamera as LookAtCamera
 from .cameras import MatrixCamera as MatrixCamera
+from .cameras import NetworkCamera as NetworkCamera
 from .cameras import PyTorch3DCamera as PyTorch3DCamera
 from .formats import MAX_VIEWS, SILHOUETTE_THRESHOLD
 from .formats import MeshFormat as MeshFormat

@@ -65,6 +65,7 @@ UNION_TAGS = (
     "look_at",
     "matrix",
     "pytorch3d",
+    "network",
 )  # pydantic puts the chosen member into the location; it is no field
 _QUOTED = re.compile(r"'([^']*)'")
 

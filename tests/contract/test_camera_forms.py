@@ -213,3 +213,42 @@ def test_colmap_models_that_cannot_be_read(tmp_path: Path, camera: str, image: s
     (tmp_path / "images.txt").write_text(image)
     with pytest.raises(CameraInvalid, match=says):
         read_camera_file(tmp_path)
+
+
+NETWORKS = [
+    # network, where its camera is and what is up in the picture, in the frame of its output
+    ({"name": "triposr"}, (1.9, 0, 0), (0, 0, 1), 40),
+    ({"name": "triposr", "azimuth_degrees": 90}, (0, 1.9, 0), (0, 0, 1), 40),
+    ({"name": "sf3d"}, (0, 0, -1.6), (0, 1, 0), 40),
+    ({"name": "instantmesh", "elevation_degrees": 90}, (0, 4, 0), (0, 0, 1), 30),
+    ({"name": "instantmesh", "azimuth_degrees": 90}, (-4, 0, 0), (0, 1, 0), 30),
+    ({"name": "trellis"}, (0, 0, 2), (0, 1, 0), 40),
+    ({"name": "trellis", "azimuth_degrees": 90, "fov_y_degrees": 8}, (2, 0, 0), (0, 1, 0), 8),
+    ({"name": "hunyuan3d", "distance": 3}, (0, 0, 3), (0, 1, 0), 49.134),
+    ({"name": "pixel2mesh"}, (0, 0, 0), (0, 1, 0), 2 * math.degrees(math.atan(112 / 248))),
+    ({"name": "occnet", "distance": 2}, (2, 0, 0), (0, 1, 0), 49.134),
+    ({"name": "occnet", "distance": 2, "azimuth_degrees": 90}, (0, 0, 2), (0, 1, 0), 49.134),
+]
+
+
+@pytest.mark.parametrize(("told", "place", "up", "fov"), NETWORKS)
+def test_the_cameras_of_networks(told: Any, place: Any, up: Any, fov: float) -> None:
+    camera = camera_of({"type": "network", **told})
+    to_world = torch.linalg.inv(camera.world_to_camera.double())
+    assert to_world[:3, 3].tolist() == pytest.approx(place, abs=1e-6)
+    assert (-to_world[:3, 1]).tolist() == pytest.approx(up, abs=1e-6)
+    assert camera.fy == pytest.approx(HEIGHT / 2 / math.tan(math.radians(fov) / 2), rel=1e-5)
+    if any(place):
+        seen = camera.world_to_camera @ torch.tensor([0.0, 0.0, 0.0, 1.0])
+        assert seen[:3].tolist() == pytest.approx([0, 0, math.hypot(*place)], abs=1e-5)
+
+
+def test_a_network_camera_on_the_wire() -> None:
+    spec = refine_pb2.RefinementSpec()
+    spec.camera.network.name = refine_pb2.NetworkCamera.SF3D
+    spec.camera.network.elevation_degrees = 10
+    read = to_model(spec, RefinementSpec).camera
+    same(
+        camera_from_spec(read, WIDTH, HEIGHT),
+        camera_of({"type": "network", "name": "sf3d", "elevation_degrees": 10}),
+    )

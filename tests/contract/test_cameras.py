@@ -38,10 +38,10 @@ def complaint(error: ValidationError) -> str:
 @pytest.mark.parametrize(
     ("camera", "message"),
     [
-        ({}, "/camera: expected 'type' to be one of 'look_at', 'matrix', 'pytorch3d', got none"),
+        ({}, "/camera: expected 'type' to be one of 'look_at', 'matrix', 'pytorch3d', 'network', got none"),
         (
             {"type": "lookat"},
-            "one of 'look_at', 'matrix', 'pytorch3d', got 'lookat'; did you mean 'look_at'?",
+            "one of 'look_at', 'matrix', 'pytorch3d', 'network', got 'lookat'; did you mean 'look_at'?",
         ),
         ([1, 2], "/camera: expected an object, got [1, 2]"),
         (
@@ -75,6 +75,12 @@ def complaint(error: ValidationError) -> str:
         (
             PYTORCH3D | {"fov_x_degrees": 5},
             "/camera: expected exactly one of intrinsics, fov_y_degrees and fov_x",
+        ),
+        ({"type": "network", "name": "trelis"}, "/camera/name: expected 'triposr', 'sf3d'"),
+        ({"type": "network", "name": "occnet"}, "expected distance, got none; for occnet 1.75 times"),
+        (
+            {"type": "network", "name": "pixel2mesh", "azimuth_degrees": 0},
+            "/camera: expected no azimuth_degrees: pixel2mesh's output is in its camera's own axes",
         ),
         (MATRIX | {"convention": "OpenGL"}, "'pytorch3d', got 'OpenGL'; did you mean 'opengl'?"),
         (MATRIX | {"camera_to_word": POSE}, "did you mean 'camera_to_world'?"),

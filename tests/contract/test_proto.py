@@ -58,6 +58,7 @@ def _tags() -> list[Any]:
         models.LookAtCamera.model_fields["type"].annotation,
         models.MatrixCamera.model_fields["type"].annotation,
         models.PyTorch3DCamera.model_fields["type"].annotation,
+        models.NetworkCamera.model_fields["type"].annotation,
     ]
 
 

@@ -42,14 +42,16 @@ class RefinementOptions(_message.Message):
     def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., ignore_grey: _Optional[int] = ...) -> None: ...
 
 class CameraSpec(_message.Message):
-    __slots__ = ("look_at", "matrix", "pytorch3d")
+    __slots__ = ("look_at", "matrix", "pytorch3d", "network")
     LOOK_AT_FIELD_NUMBER: _ClassVar[int]
     MATRIX_FIELD_NUMBER: _ClassVar[int]
     PYTORCH3D_FIELD_NUMBER: _ClassVar[int]
+    NETWORK_FIELD_NUMBER: _ClassVar[int]
     look_at: LookAtCamera
     matrix: MatrixCamera
     pytorch3d: PyTorch3DCamera
-    def __init__(self, look_at: _Optional[_Union[LookAtCamera, _Mapping]] = ..., matrix: _Optional[_Union[MatrixCamera, _Mapping]] = ..., pytorch3d: _Optional[_Union[PyTorch3DCamera, _Mapping]] = ...) -> None: ...
+    network: NetworkCamera
+    def __init__(self, look_at: _Optional[_Union[LookAtCamera, _Mapping]] = ..., matrix: _Optional[_Union[MatrixCamera, _Mapping]] = ..., pytorch3d: _Optional[_Union[PyTorch3DCamera, _Mapping]] = ..., network: _Optional[_Union[NetworkCamera, _Mapping]] = ...) -> None: ...
 
 class LookAtCamera(_message.Message):
     __slots__ = ("azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees", "fov_x_degrees", "roll_degrees")
@@ -116,6 +118,38 @@ class PyTorch3DCamera(_message.Message):
     fov_y_degrees: float
     fov_x_degrees: float
     def __init__(self, R: _Optional[_Iterable[float]] = ..., T: _Optional[_Iterable[float]] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., fov_y_degrees: _Optional[float] = ..., fov_x_degrees: _Optional[float] = ...) -> None: ...
+
+class NetworkCamera(_message.Message):
+    __slots__ = ("name", "azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees")
+    class Name(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        NAME_UNSPECIFIED: _ClassVar[NetworkCamera.Name]
+        TRIPOSR: _ClassVar[NetworkCamera.Name]
+        SF3D: _ClassVar[NetworkCamera.Name]
+        INSTANTMESH: _ClassVar[NetworkCamera.Name]
+        TRELLIS: _ClassVar[NetworkCamera.Name]
+        HUNYUAN3D: _ClassVar[NetworkCamera.Name]
+        PIXEL2MESH: _ClassVar[NetworkCamera.Name]
+        OCCNET: _ClassVar[NetworkCamera.Name]
+    NAME_UNSPECIFIED: NetworkCamera.Name
+    TRIPOSR: NetworkCamera.Name
+    SF3D: NetworkCamera.Name
+    INSTANTMESH: NetworkCamera.Name
+    TRELLIS: NetworkCamera.Name
+    HUNYUAN3D: NetworkCamera.Name
+    PIXEL2MESH: NetworkCamera.Name
+    OCCNET: NetworkCamera.Name
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    AZIMUTH_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ELEVATION_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_FIELD_NUMBER: _ClassVar[int]
+    FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    name: NetworkCamera.Name
+    azimuth_degrees: float
+    elevation_degrees: float
+    distance: float
+    fov_y_degrees: float
+    def __init__(self, name: _Optional[_Union[NetworkCamera.Name, str]] = ..., azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., distance: _Optional[float] = ..., fov_y_degrees: _Optional[float] = ...) -> None: ...
 
 class Intrinsics(_message.Message):
     __slots__ = ("fx", "fy", "cx", "cy", "width", "height")
