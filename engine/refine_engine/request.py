@@ -82,6 +82,8 @@ def read_inputs(
             raise type(error)(f"{told}{error}") from error
         views.append(view)
         warnings += [told + warning for warning in (*odd, *([doubt] if doubt else []))]
+    if ignore_grey is not None and all(view.known is None for view in views):
+        warnings.append(f"no pixel of a silhouette has the level {ignore_grey} of ignore_grey")
     return Inputs(mesh_file, tuple(views), tuple(warnings))
 
 

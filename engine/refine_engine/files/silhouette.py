@@ -69,8 +69,6 @@ def read_silhouette(
     unknown = np.zeros(channel.shape, bool)
     if ignore_grey is not None:
         unknown = _stored(image, channel) == ignore_grey
-        if not unknown.any():
-            warnings = [*warnings, f"no pixel of the silhouette has the level {ignore_grey} of ignore_grey"]
     if ignore is not None:
         unknown = unknown | _read_ignore(ignore, channel.shape)
     if unknown.all():

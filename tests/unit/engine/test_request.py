@@ -94,6 +94,12 @@ def test_several_views_are_read_with_what_is_unknown_in_each() -> None:
         assert torch.equal(view.camera.world_to_camera, alone.camera.world_to_camera)
 
 
+def test_a_level_that_no_silhouette_has_is_said() -> None:
+    read = read_inputs(OBJ, "box.obj", png(FRONT), FRONT, ignore_grey=128)
+    assert read.warnings[1:] == ("no pixel of a silhouette has the level 128 of ignore_grey",)
+    assert len(read_inputs(OBJ, "box.obj", png(FRONT), FRONT, ignore_grey=None).warnings) == 1
+
+
 def test_what_is_wrong_with_a_view_names_it() -> None:
     empty = Observation(encoded(torch.zeros(64, 64, dtype=torch.bool)), BACK)
     with pytest.raises(SilhouetteInvalid, match=r"^view 2: expected an object"):

@@ -237,12 +237,6 @@ def test_pixels_of_the_ignored_level_are_unknown(data: bytes) -> None:
     assert read.warnings == ()
 
 
-def test_a_level_that_is_not_there_is_said() -> None:
-    read = read_silhouette(png(LABELS[:, :20]), ignore_grey=128)
-    assert read.known is None
-    assert read.warnings == ("no pixel of the silhouette has the level 128 of ignore_grey",)
-
-
 def test_what_a_second_image_shows_is_unknown() -> None:
     hidden = np.zeros(DISC.shape, bool)
     hidden[:, 10:] = True
