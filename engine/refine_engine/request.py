@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,14 +13,24 @@ from refine_proto.formats import SILHOUETTE_THRESHOLD
 
 from .cameras.spec import camera_from_spec
 from .checks.check import GivenPlane, check_inputs, refuse
+from .errors import InputError
 from .files.limits import MeshLimits
 from .files.mesh_file import MeshFile, read_mesh
-from .files.png import read_silhouette
+from .files.silhouette import read_silhouette
 from .method.config import RefineConfig
 from .method.loop import refine
 from .values import Progress, Result, View
 
 POOR_IOU = 0.5  # a result that agrees less was hardly meant
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The files of one view: an image of the silhouette and the camera that saw it."""
+
+    silhouette: bytes
+    camera: CameraSpec
+    ignore: bytes | None = None  # an image of the pixels of which nothing is known
 
 
 @dataclass(frozen=True)
@@ -54,15 +64,32 @@ def read_inputs(
     camera: CameraSpec,
     silhouette_threshold: float = SILHOUETTE_THRESHOLD,
     limits: MeshLimits = MeshLimits(),
+    *,
+    ignore_grey: int | None = None,
+    ignore: bytes | None = None,
+    more_views: Sequence[Observation] = (),
     checks: Checks = Checks.WARN,
     symmetry: GivenPlane | None = None,
 ) -> Inputs:
-    """Read a mesh file and a silhouette image, for a camera as `read_camera` gives it, and check them.
+    """Read a mesh file and a silhouette image, for a camera as `read_camera` gives it; and further views.
 
-    `mesh_name` matters for its suffix where the bytes do not tell the format; `symmetry` is checked where it
-    is given. Raises an InputError: a file or the camera is invalid, or `checks` refuses them together.
+    `mesh_name` matters for its suffix where the bytes do not tell the format; see `read_silhouette` for
+    `ignore_grey` and `ignore`; `symmetry` is checked where it is given. Raises an InputError: a file or a
+    camera is invalid, or `checks` refuses them together.
     """
-    inputs = check_files(mesh, mesh_name, silhouette, camera, silhouette_threshold, limits, checks, symmetry)
+    inputs = check_files(
+        mesh,
+        mesh_name,
+        silhouette,
+        camera,
+        silhouette_threshold,
+        limits,
+        ignore_grey=ignore_grey,
+        ignore=ignore,
+        more_views=more_views,
+        checks=checks,
+        symmetry=symmetry,
+    )
     refuse(inputs.findings)
     return inputs
 
@@ -74,22 +101,54 @@ def check_files(
     camera: CameraSpec,
     silhouette_threshold: float = SILHOUETTE_THRESHOLD,
     limits: MeshLimits = MeshLimits(),
+    *,
+    ignore_grey: int | None = None,
+    ignore: bytes | None = None,
+    more_views: Sequence[Observation] = (),
     checks: Checks = Checks.WARN,
     symmetry: GivenPlane | None = None,
 ) -> Inputs:
     """As `read_inputs`, but what `checks` refuses is told in the findings and not raised."""
     mesh_file = read_mesh(mesh, mesh_name, limits)
-    view = read_view(silhouette, camera, silhouette_threshold)
-    findings = check_inputs(mesh_file.mesh, view, camera, checks, symmetry) if checks != Checks.OFF else ()
-    messages = (finding.message for finding in findings)
-    return Inputs(mesh_file, (view,), (*mesh_file.warnings, *messages), findings)
+    views: list[View] = []
+    findings: list[Finding] = []
+    warnings = [*mesh_file.warnings]
+    for number, observation in enumerate([Observation(silhouette, camera, ignore), *more_views], 1):
+        told = f"view {number}: " if more_views else ""
+        try:
+            view, odd = _read_view(observation, silhouette_threshold, ignore_grey)
+        except InputError as error:
+            raise type(error)(f"{told}{error}") from error
+        views.append(view)
+        found: tuple[Finding, ...] = ()
+        if checks != Checks.OFF:  # the mesh has one mirror plane, however many views there are
+            plane = symmetry if number == 1 else None
+            found = check_inputs(mesh_file.mesh, view, observation.camera, checks, plane)
+        findings += [finding.model_copy(update={"message": told + finding.message}) for finding in found]
+        warnings += [*(told + warning for warning in odd), *(told + finding.message for finding in found)]
+    if ignore_grey is not None and all(view.known is None for view in views):
+        warnings.append(f"no pixel of a silhouette has the level {ignore_grey} of ignore_grey")
+    return Inputs(mesh_file, tuple(views), tuple(warnings), tuple(findings))
 
 
-def read_view(silhouette: bytes, camera: CameraSpec, threshold: float = SILHOUETTE_THRESHOLD) -> View:
+def read_view(
+    silhouette: bytes,
+    camera: CameraSpec,
+    threshold: float = SILHOUETTE_THRESHOLD,
+    ignore_grey: int | None = None,
+    ignore: bytes | None = None,
+) -> View:
     """A silhouette image and the camera that saw it; raises SilhouetteInvalid or CameraInvalid."""
-    coverage = read_silhouette(silhouette, threshold)
-    height, width = coverage.shape
-    return View(coverage, camera_from_spec(camera, width, height))
+    return _read_view(Observation(silhouette, camera, ignore), threshold, ignore_grey)[0]
+
+
+def _read_view(
+    observation: Observation, threshold: float, ignore_grey: int | None
+) -> tuple[View, tuple[str, ...]]:
+    """The view, and what is odd about its silhouette."""
+    read = read_silhouette(observation.silhouette, threshold, ignore_grey, observation.ignore)
+    height, width = read.coverage.shape
+    return View(read.coverage, camera_from_spec(observation.camera, width, height), read.known), read.warnings
 
 
 def _about_the_result(result: Result) -> Iterator[str]:

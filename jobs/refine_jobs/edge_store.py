@@ -107,6 +107,7 @@ class JobStore:
                 "task": submission.task,
                 "mesh": submission.mesh,
                 "silhouette": submission.silhouette,
+                "more_files": submission.more_files or None,
                 "request_id": submission.request_id,
                 "traceparent": submission.traceparent,
             }
@@ -248,7 +249,8 @@ def _owned(owner: str, job_id: str, fields: dict[str, str]) -> Job:
 
 def _fingerprint(submission: Submission) -> str:
     """The same for the same files and the same spec, however it was written."""
-    return _sha256(to_json([submission.spec, submission.mesh, submission.silhouette]))
+    more = [dict(sorted(submission.more_files.items()))] if submission.more_files else []
+    return _sha256(to_json([submission.spec, submission.mesh, submission.silhouette, *more]))
 
 
 def _sha256(text: str) -> str:

@@ -26,7 +26,10 @@ from refine_proto.models import (
 
 from .blobs import Blob
 
-_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", "silhouette_iou", "checks", "answer")
+_JSON = (
+    "spec", "mesh", "silhouette", "more_files", "progress", "error", "artifacts", "silhouette_iou",
+    "checks", "answer",
+)  # fmt: skip
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
 
@@ -41,7 +44,7 @@ class Task(StrEnum):
 
 
 class Submission(BaseModel):
-    """What the edge hands over once both files are in the blob store."""
+    """What the edge hands over once all files are in the blob store."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -51,6 +54,7 @@ class Submission(BaseModel):
     mesh: Blob
     silhouette: Blob
     task: Task = Task.REFINE
+    more_files: Mapping[str, Blob] = {}  # by their names in the request: ignore, silhouette_2, ...
     idempotency_key: str | None = None
     request_id: str | None = None
     traceparent: str | None = None
@@ -69,6 +73,7 @@ class Job(BaseModel):
     mesh: Blob
     silhouette: Blob
     task: Task = Task.REFINE
+    more_files: Mapping[str, Blob] = {}
     created_at: datetime
     expires_at: datetime
     started_at: datetime | None = None

@@ -24,7 +24,9 @@ class ServiceSettings(EnvironmentSettings):
     )
     requests_per_s: float = Field(50, gt=0, description="Calls of one API key to one service process.")
     max_mesh_bytes: int = Field(256 * _MIB, ge=1, description="Largest mesh file.")
-    max_silhouette_bytes: int = Field(64 * _MIB, ge=1, description="Largest silhouette file.")
+    max_silhouette_bytes: int = Field(
+        64 * _MIB, ge=1, description="Silhouettes and ignore masks of one request."
+    )
     max_json_bytes: int = Field(
         16 * _MIB, ge=1, description="Largest JSON body: base64 in it is held in memory."
     )

@@ -305,3 +305,25 @@ def test_an_interrupt_leaves_nothing(inputs: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(KeyboardInterrupt):
         run.run_command(arguments(inputs))
     assert files(inputs) == before
+
+
+def test_several_views_and_unknown_pixels(inputs: Path, tmp_path: Path) -> None:
+    """The same silhouette twice, once as JPEG; the right half of the second is unknown."""
+    with Image.open(inputs / "silhouette.png") as image:
+        image.save(tmp_path / "second.jpg", quality=95)
+    pixels = np.zeros((64, 64), np.uint8)
+    pixels[:, 32:] = 255
+    Image.fromarray(pixels).save(tmp_path / "hand.png")
+    camera = str(inputs / "camera.json")
+    views = ["--view", str(tmp_path / "second.jpg"), camera, str(tmp_path / "hand.png")]
+    arguments = [str(inputs / name) for name in ("box.obj", "silhouette.png")]
+    out = tmp_path / "out"
+    assert (
+        run.run_command(
+            [*arguments, "--camera", camera, *views, "--iterations", "2", "-o", str(out), "--threads", "1"]
+        )
+        == 0
+    )
+    report = json.loads((out / "report.json").read_text())
+    assert [view["known"] for view in report["views"]] == [1.0, 0.5]
+    assert len(report["views"]) == 2

@@ -36,12 +36,13 @@ class _Servicer(RefinementsServicer):
 
     def _upload(self, requests: Iterator[Any]) -> tuple[str, dict[str, Any]]:
         header = next(requests).header
-        upload: dict[str, Any] = {"mesh": bytearray(), "silhouette": bytearray(), "chunks": []}
+        upload: dict[str, Any] = {"chunks": []}
         for request in requests:
             part = request.WhichOneof("part")
             chunk = getattr(request, part)
-            upload[part.removesuffix("_chunk")] += chunk
-            upload["chunks"].append(len(chunk))
+            name, data = (chunk.part, chunk.data) if part == "file_chunk" else (part[: -len("_chunk")], chunk)
+            upload.setdefault(name, bytearray()).extend(data)
+            upload["chunks"].append(len(data))
         upload |= to_model(header.spec, RefinementSpec).model_dump(mode="json", exclude_none=True)
         upload["announced"] = (header.mesh_bytes, header.silhouette_bytes)
         return header.request_id, upload

@@ -109,7 +109,9 @@ class _Handler(BaseHTTPRequestHandler):
             name = head.partition(b'name="')[2].partition(b'"')[0].decode()
             content = content[: -len(b"\r\n")]
             found[name] = content if b"filename=" in head else content.decode()
-        return found | {name: json.loads(found[name]) for name in ("camera", "options")}
+        return found | {
+            name: json.loads(found[name]) for name in ("camera", "options", "views") if name in found
+        }
 
     def log_message(self, *arguments: Any) -> None:
         return None

@@ -44,6 +44,7 @@ class Run(_Message):
     attempt: int
     task: Task = Task.REFINE
     spec: Mapping[str, Any]
+    more_files: tuple[str, ...] = ()  # beside the mesh and the silhouette: ignore, silhouette_2, ...
     log_fields: dict[str, str] = {}
 
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from refine_proto.cameras import CAMERA_SPEC, CameraSpec
+from refine_proto.camera_files import read_camera_file
 from refine_proto.commands.ending import Parser
-from refine_proto.commands.options import add_options, read_options
-from refine_proto.errors import from_validation
+from refine_proto.commands.options import add_options, add_views, read_options, read_views
 from refine_proto.models import MeshFormat
 
+from ..upload import View
 from .server_command import command, connect, make_parser
 from .watch import see_through
 
@@ -23,7 +23,7 @@ EXAMPLE = """\
 
 camera.json
   {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9, "fov_y_degrees": 60}
-  or a matrix: refine docs conventions
+  or another form, transforms.json#FRAME or COLMAP_FOLDER#IMAGE: refine docs conventions
 """
 
 
@@ -31,16 +31,18 @@ camera.json
 def submit_command(argv: Sequence[str]) -> None:
     """Run `refine submit`."""
     arguments = submit_parser().parse_args(argv)
-    camera = read_camera(arguments.camera)
+    first, *further = read_view_files(arguments)
     options = read_options(arguments)
     if arguments.output is not None:
         arguments.output.mkdir(parents=True, exist_ok=True)  # before the job, not after it
     with connect(arguments) as client:
         refinement = client.submit(
             arguments.mesh,
-            arguments.silhouette,
-            camera,
+            first.silhouette,
+            first.camera,
             options,
+            ignore=first.ignore,
+            views=further,
             mesh_format=arguments.mesh_format,
             idempotency_key=arguments.idempotency_key,
         )
@@ -57,12 +59,19 @@ def submit_command(argv: Sequence[str]) -> None:
             raise
 
 
-def read_camera(path: Path) -> CameraSpec:
-    """The camera in a file; CameraInvalid."""
-    try:
-        return CAMERA_SPEC.validate_json(path.read_bytes())
-    except ValidationError as error:
-        raise from_validation(error.errors(), under=("camera",)) from None
+def read_view_files(arguments: argparse.Namespace) -> list[View]:
+    """The views that the arguments of `add_files` name; CameraInvalid."""
+    return [
+        View(paths.silhouette, read_camera_file(paths.camera, place), paths.ignore)
+        for place, paths in zip(_places(), read_views(arguments), strict=False)
+    ]
+
+
+def _places() -> Iterator[tuple[str | int, ...]]:
+    """Where the cameras of the views sit in a request."""
+    yield ("camera",)
+    for number in count():
+        yield ("views", number, "camera")
 
 
 def submit_parser() -> Parser:
@@ -85,8 +94,7 @@ def submit_parser() -> Parser:
 def add_files(parser: Parser) -> None:
     """The arguments that name what is sent."""
     parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
-    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="see below")
+    add_views(parser)
     parser.add_argument(
         "--mesh-format", choices=list(MeshFormat), metavar="FORMAT", help="(the suffix of MESH)"
     )

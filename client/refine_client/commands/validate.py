@@ -9,7 +9,7 @@ from refine_proto.commands.options import add_options, read_options
 from refine_proto.commands.validation import print_validation
 
 from .server_command import command, connect, make_parser
-from .submit import add_files, read_camera
+from .submit import add_files, read_view_files
 
 EXAMPLE = """\
   refine validate coarse.glb silhouette.png --camera camera.json
@@ -21,10 +21,17 @@ EXAMPLE = """\
 def validate_command(argv: Sequence[str]) -> int:
     """0 if the server would refine it, 2 if not; what looks wrong goes to standard output."""
     arguments = validate_parser().parse_args(argv)
-    camera, options = read_camera(arguments.camera), read_options(arguments)
+    first, *further = read_view_files(arguments)
+    options = read_options(arguments)
     with connect(arguments) as client:
         validation = client.validate(
-            arguments.mesh, arguments.silhouette, camera, options, mesh_format=arguments.mesh_format
+            arguments.mesh,
+            first.silhouette,
+            first.camera,
+            options,
+            ignore=first.ignore,
+            views=further,
+            mesh_format=arguments.mesh_format,
         )
     print_validation(validation, arguments.json)
     return 0 if validation.accepted else BAD_INPUT

@@ -32,17 +32,19 @@ class GrpcTransport:
 
     def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            deadline_s = grpc_messages.transfer_s(self._connection, sum(file.size_bytes for file in files))
-            message = self._call(
-                self._stub.CreateRefinement, grpc_messages.create(upload, *files), deadline_s
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
             )
+            message = self._call(self._stub.CreateRefinement, grpc_messages.create(upload, files), deadline_s)
         return grpc_messages.parse(message, Refinement)
 
     def validate(self, upload: Upload) -> Validation:
         with upload.opened() as files:
-            deadline_s = grpc_messages.transfer_s(self._connection, sum(file.size_bytes for file in files))
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
             message = self._call(
-                self._stub.ValidateRefinement, grpc_messages.create(upload, *files), deadline_s
+                self._stub.ValidateRefinement, grpc_messages.create(upload, files), deadline_s
             )
         return grpc_messages.parse(message, Validation)
 
@@ -122,17 +124,21 @@ class AsyncGrpcTransport:
 
     async def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            deadline_s = grpc_messages.transfer_s(self._connection, sum(file.size_bytes for file in files))
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
             message = await self._call(
-                self._stub.CreateRefinement, grpc_messages.create(upload, *files), deadline_s
+                self._stub.CreateRefinement, grpc_messages.create(upload, files), deadline_s
             )
         return grpc_messages.parse(message, Refinement)
 
     async def validate(self, upload: Upload) -> Validation:
         with upload.opened() as files:
-            deadline_s = grpc_messages.transfer_s(self._connection, sum(file.size_bytes for file in files))
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
             message = await self._call(
-                self._stub.ValidateRefinement, grpc_messages.create(upload, *files), deadline_s
+                self._stub.ValidateRefinement, grpc_messages.create(upload, files), deadline_s
             )
         return grpc_messages.parse(message, Validation)
 

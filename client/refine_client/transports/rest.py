@@ -27,12 +27,12 @@ class RestTransport:
 
     def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            response = self._send(rest_messages.create(upload), files=rest_messages.parts(upload, *files))
+            response = self._send(rest_messages.create(upload), files=rest_messages.parts(upload, files))
         return rest_messages.parse(response, Refinement)
 
     def validate(self, upload: Upload) -> Validation:
         with upload.opened() as files:
-            response = self._send(rest_messages.validate(), files=rest_messages.parts(upload, *files))
+            response = self._send(rest_messages.validate(), files=rest_messages.parts(upload, files))
         return rest_messages.parse(response, Validation)
 
     def get(self, refinement_id: str) -> Refinement:
@@ -106,13 +106,13 @@ class AsyncRestTransport:
     async def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
             response = await self._send(
-                rest_messages.create(upload), files=rest_messages.parts(upload, *files)
+                rest_messages.create(upload), files=rest_messages.parts(upload, files)
             )
         return rest_messages.parse(response, Refinement)
 
     async def validate(self, upload: Upload) -> Validation:
         with upload.opened() as files:
-            response = await self._send(rest_messages.validate(), files=rest_messages.parts(upload, *files))
+            response = await self._send(rest_messages.validate(), files=rest_messages.parts(upload, files))
         return rest_messages.parse(response, Validation)
 
     async def get(self, refinement_id: str) -> Refinement:

@@ -16,7 +16,7 @@ from torch import Tensor
 from refine_proto.cameras import CameraSpec, LookAtCamera, MatrixCamera
 
 from ..values import Camera, focal_length
-from .spec import AXES, DIRECTIONS, WrittenPose
+from .spec import AXES, DIRECTIONS, WrittenPose, look_at_pose
 
 UNITS = (10.0, 100.0, 1000.0)  # millimetres, centimetres and metres in any two places
 LARGEST_NORMALISED = 10.0  # fx in widths of the image; in pixels it is larger
@@ -81,13 +81,16 @@ def _units(given: Camera) -> Iterator[tuple[str, Camera]]:
 def _lens(spec: CameraSpec, given: Camera) -> Iterator[tuple[str, Camera]]:
     """Intrinsics of another image or in other units; an angle of the other side, or in radians."""
     width, height = given.width, given.height
-    angle = getattr(spec, "fov_y_degrees", None)
+    angle = spec.fov_y_degrees or spec.fov_x_degrees
     if angle is not None:
-        across = focal_length(angle, width)
-        yield "fov_x_degrees instead of fov_y_degrees", replace(given, fx=across, fy=across)
+        told, pixels, other, others = ("fov_y", height, "fov_x", width)
+        if spec.fov_y_degrees is None:
+            told, pixels, other, others = other, others, told, pixels
+        across = focal_length(angle, others)
+        yield f"{other}_degrees instead of {told}_degrees", replace(given, fx=across, fy=across)
         if angle < math.pi:
-            f = focal_length(math.degrees(angle), height)
-            yield "fov_y in radians", replace(given, fx=f, fy=f)
+            f = focal_length(math.degrees(angle), pixels)
+            yield f"{told} in radians", replace(given, fx=f, fy=f)
         return
     if max(given.fx, given.fy) < LARGEST_NORMALISED:
         for told, x, y in (
@@ -127,17 +130,15 @@ def _lens(spec: CameraSpec, given: Camera) -> Iterator[tuple[str, Camera]]:
 
 def _radians(spec: LookAtCamera, given: Camera) -> Iterator[tuple[str, Camera]]:
     """Angles that were given in radians, and a polar angle, which is counted from straight up."""
-
-    def look(azimuth: float, elevation: float, fov: float) -> Camera:
-        return Camera.look_at(azimuth, elevation, spec.distance, fov, given.width, given.height)
-
-    azimuth, elevation, fov = spec.azimuth_degrees, spec.elevation_degrees, spec.fov_y_degrees
+    azimuth, elevation = spec.azimuth_degrees, spec.elevation_degrees
     if abs(azimuth) <= 2 * math.pi and abs(elevation) <= math.pi / 2:
-        in_degrees = math.degrees(azimuth), math.degrees(elevation)
-        yield "azimuth and elevation in radians", look(*in_degrees, fov)
-        if fov < math.pi:
-            yield "all angles in radians", look(*in_degrees, math.degrees(fov))
-    yield "the elevation counted from straight up", look(azimuth, 90.0 - elevation, fov)
+        turned = _posed(given, look_at_pose(spec, math.degrees(azimuth), math.degrees(elevation)))
+        yield "azimuth and elevation in radians", turned
+        for told, lens in _lens(spec, turned):
+            if told.endswith("in radians"):
+                yield "all angles in radians", lens
+    polar = look_at_pose(spec, azimuth, 90.0 - elevation)
+    yield "the elevation counted from straight up", _posed(given, polar)
 
 
 def _matrices(spec: MatrixCamera, given: Camera) -> Iterator[tuple[str, Camera]]:

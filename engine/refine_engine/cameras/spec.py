@@ -5,6 +5,7 @@ What a CameraSpec may be, and what is wrong with one, is said in `refine_proto.c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -13,7 +14,13 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from refine_proto.cameras import CAMERA_SPEC, CameraSpec, LookAtCamera, MatrixCamera
+from refine_proto.cameras import (
+    CAMERA_SPEC,
+    DEFAULT_FOV_Y_DEGREES,
+    CameraSpec,
+    LookAtCamera,
+    MatrixCamera,
+)
 from refine_proto.strict import complaints, in_one_line
 
 from ..errors import CameraInvalid
@@ -47,8 +54,9 @@ def camera_from_spec(spec: CameraSpec, width: int, height: int) -> Camera:
     Raises CameraInvalid for intrinsics that belong to another size of image.
     """
     if isinstance(spec, LookAtCamera):
-        a, e = spec.azimuth_degrees, spec.elevation_degrees
-        return Camera.look_at(a, e, spec.distance, spec.fov_y_degrees, width, height)
+        pose = look_at_pose(spec, spec.azimuth_degrees, spec.elevation_degrees)
+        f = _focal_length(spec, width, height)
+        return Camera(pose, f, f, width / 2, height / 2, width, height)
     pose = WrittenPose.of(spec).world_to_camera()
     return Camera(pose, *_lens(spec, width, height), width, height, spec.projection)
 
@@ -83,12 +91,31 @@ class WrittenPose:
         return f"convention {self.convention}, {self.direction}{rotation}"
 
 
+def look_at_pose(spec: LookAtCamera, azimuth: float, elevation: float) -> Tensor:
+    """(4, 4): the camera of `spec` with other angles, its roll as it is."""
+    pose = Camera.look_at(azimuth, elevation, spec.distance, DEFAULT_FOV_Y_DEGREES, 1, 1).world_to_camera
+    roll = math.radians(spec.roll_degrees)
+    if roll == 0.0:
+        return pose
+    cos, sin = math.cos(roll), math.sin(roll)
+    turn = torch.eye(4)
+    turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1] = cos, sin, -sin, cos
+    return turn @ pose
+
+
+def _focal_length(spec: LookAtCamera | MatrixCamera, width: int, height: int) -> float:
+    """Pixels, from the one field of view that is given."""
+    if spec.fov_x_degrees is not None:
+        return focal_length(spec.fov_x_degrees, width)
+    assert spec.fov_y_degrees is not None
+    return focal_length(spec.fov_y_degrees, height)
+
+
 def _lens(spec: MatrixCamera, width: int, height: int) -> tuple[float, float, float, float]:
     """fx, fy, cx, cy in pixels."""
     lens = spec.intrinsics
     if lens is None:
-        assert spec.fov_y_degrees is not None  # a MatrixCamera has one of the two
-        f = focal_length(spec.fov_y_degrees, height)
+        f = _focal_length(spec, width, height)
         return f, f, width / 2, height / 2
     try:
         lens.check_size(width, height)

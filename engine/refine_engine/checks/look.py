@@ -49,8 +49,8 @@ class Look:
 
     @cached_property
     def object(self) -> Tensor:
-        """(H, W) bool, the silhouette as it came."""
-        return self.view.silhouette > 0.5
+        """(H, W) bool, the silhouette as it came, where it is known."""
+        return self.view.object()
 
     @cached_property
     def extent(self) -> int:
@@ -60,17 +60,26 @@ class Look:
 
     @cached_property
     def silhouette(self) -> Tensor:
-        """(h, w) bool, small."""
-        height, width = self.object.shape
+        """(h, w) bool, small; of what is known."""
+        return self._small(self.object)
+
+    @cached_property
+    def known(self) -> Tensor | None:
+        """(h, w) bool, small: the pixels that say something; None: all of them."""
+        return None if self.view.known is None else self._small(self.view.known)
+
+    def _small(self, picture: Tensor) -> Tensor:
+        height, width = picture.shape
         side = min(max(LONGEST_SIDE, SHORTEST_OBJECT * max(height, width) / self.extent), LARGEST_SIDE)
         scale = min(1.0, side / max(height, width))
         size = (max(1, round(height * scale)), max(1, round(width * scale)))
-        return F.adaptive_avg_pool2d(self.view.silhouette[None], size)[0] > 0.5
+        return F.adaptive_avg_pool2d(picture.float()[None], size)[0] > 0.5
 
     @cached_property
     def covered(self) -> float:
-        """Share of the image that is object."""
-        return float(self.object.float().mean())
+        """Share of the image that is object, of what is known."""
+        known = self.object.numel() if self.view.known is None else int(self.view.known.sum())
+        return float(self.object.sum()) / known
 
     @cached_property
     def thin(self) -> Mesh:
@@ -88,7 +97,8 @@ class Look:
     @cached_property
     def background_iou(self) -> float:
         """Of the mesh with what is not object."""
-        return float(_iou(self.rendered, ~self.silhouette))
+        background = ~self.silhouette if self.known is None else ~self.silhouette & self.known
+        return float(_iou(self.rendered, background))
 
     @cached_property
     def inverted(self) -> bool:
@@ -134,9 +144,10 @@ class Look:
         return f"; did you mean {self.reading.name}? it gives a 2D IoU of {self.reading.silhouette_iou:.2f}"
 
     def _drawn(self, cameras: Sequence[Camera]) -> Tensor:
-        """Which pixels the mesh covers: (B, h, w) bool."""
+        """Which known pixels the mesh covers: (B, h, w) bool."""
         size = (self.silhouette.shape[0], self.silhouette.shape[1])
-        return seen_by(self.thin, cameras, size).face >= 0
+        drawn = seen_by(self.thin, cameras, size).face >= 0
+        return drawn if self.known is None else drawn & self.known
 
 
 def is_inside(mesh: Mesh, camera: Camera) -> bool:

@@ -11,11 +11,10 @@ from refine_proto.commands.validation import print_validation
 from refine_proto.models import Validation
 
 from ..cameras.seen import mean_silhouette_iou
-from ..cameras.spec import read_camera
 from ..checks.check import GivenPlane
 from ..method.presets import make_config
 from ..request import check_files
-from .run import add_files, end, read_file
+from .run import add_files, end, read_file, read_observations
 
 
 def check_command(argv: Sequence[str]) -> int:
@@ -47,12 +46,16 @@ def _check(arguments: argparse.Namespace) -> Validation:
     config = make_config(
         options.preset, options.iterations, options.seed, options.symmetry_normal, options.symmetry_offset
     )
+    first, *further = read_observations(arguments)
     inputs = check_files(
         read_file(arguments.mesh),
         arguments.mesh.name,
-        read_file(arguments.silhouette),
-        read_camera(read_file(arguments.camera)),
+        first.silhouette,
+        first.camera,
         options.silhouette_threshold,
+        ignore_grey=options.ignore_grey,
+        ignore=first.ignore,
+        more_views=further,
         checks=options.checks,
         symmetry=GivenPlane.of(config),
     )

@@ -12,20 +12,21 @@ from pathlib import Path
 import torch
 
 from refine_proto import errors as contract
+from refine_proto.camera_files import read_camera_file
+from refine_proto.cameras import CameraSpec
 from refine_proto.commands.cores import usable_cores
 from refine_proto.commands.display import Display, choose_display
 from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
-from refine_proto.commands.options import add_options, read_options
+from refine_proto.commands.options import add_options, add_views, read_options, read_views
 from refine_proto.models import Refinement
 
 from ..artifacts.make import make_artifacts
-from ..cameras.spec import read_camera
 from ..checks.check import GivenPlane
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
 from ..method.presets import make_config
-from ..request import Inputs, read_inputs
+from ..request import Inputs, Observation, read_inputs
 from .events import RunEvents
 
 
@@ -83,8 +84,19 @@ def run_parser() -> Parser:
 def add_files(parser: Parser) -> None:
     """The arguments that name the inputs of a run."""
     parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL or OFF")
-    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
+    add_views(parser)
+
+
+def read_observations(arguments: argparse.Namespace) -> list[Observation]:
+    """The views that the arguments of `add_files` name, at least one; raises InputError."""
+    return [
+        Observation(
+            read_file(paths.silhouette),
+            _camera(paths.camera),
+            read_file(paths.ignore) if paths.ignore else None,
+        )
+        for paths in read_views(arguments)
+    ]
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -98,12 +110,16 @@ def _run(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(arguments.threads)
     keep_float32()
     _check_target(arguments.output)
+    first, *further = read_observations(arguments)
     inputs = read_inputs(
         read_file(arguments.mesh),
         arguments.mesh.name,
-        read_file(arguments.silhouette),
-        read_camera(read_file(arguments.camera)),
+        first.silhouette,
+        first.camera,
         options.silhouette_threshold,
+        ignore_grey=options.ignore_grey,
+        ignore=first.ignore,
+        more_views=further,
         checks=options.checks,
         symmetry=GivenPlane.of(config),
     )
@@ -142,6 +158,13 @@ def _device(name: str) -> torch.device:
 def read_file(path: Path) -> bytes:
     try:
         return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
+
+
+def _camera(path: Path) -> CameraSpec:
+    try:
+        return read_camera_file(path)
     except OSError as error:
         raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
 

@@ -85,7 +85,7 @@ class RefinementsServicer(object):
     """
 
     def CreateRefinement(self, request_iterator, context):
-        """One header, then the chunks of the mesh and of the silhouette (64 KiB each is a good size).
+        """One header, then the chunks of the mesh, the silhouette and any further files (64 KiB each is a good size).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

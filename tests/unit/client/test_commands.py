@@ -277,3 +277,35 @@ def test_help_teaches(command: Any, capsys: Output) -> None:
     assert f"  refine {name}" in shown.partition("example\n")[2]
     assert "REFINE_SERVER" in shown
     assert "exit codes" in shown
+
+
+def test_submit_sends_views_and_what_is_unknown(
+    submission: list[str], script: Script, tmp_path: Path
+) -> None:
+    camera = submission[-1]
+    for name in ("side.png", "hand.png", "hair.png"):
+        (tmp_path / name).write_bytes(name.encode())
+    side, hand, hair = (str(tmp_path / name) for name in ("side.png", "hand.png", "hair.png"))
+    more = ["--ignore", hair, "--view", side, camera, hand, "--view", side, camera, "--ignore-grey", "128"]
+    assert submit_command([*submission, *more]) == 0
+    (upload,) = script.uploads.values()
+    sent = [upload[name] for name in ("ignore", "silhouette_2", "ignore_2", "silhouette_3")]
+    assert sent == [b"hair.png", b"side.png", b"hand.png", b"side.png"]
+    assert (len(upload["views"]), upload["options"]["ignore_grey"]) == (2, 128)
+
+
+@pytest.mark.parametrize(
+    ("views", "says"),
+    [
+        ([["side.png"]], "expected --view SILHOUETTE CAMERA.json [IGNORE], got 1 file: side.png"),
+        ([["a", "b", "c", "d"]], "got 4 files: a b c d"),
+        ([["side.png", "camera.json"]] * 8, "expected at most 8 views, got 9"),
+    ],
+)
+def test_views_that_cannot_be(
+    submission: list[str], script: Script, capsys: Output, views: list[list[str]], says: str
+) -> None:
+    more = [word for paths in views for word in ("--view", *paths)]
+    assert submit_command([*submission, *more]) == 2
+    assert says in capsys.readouterr().err
+    assert script.calls == []

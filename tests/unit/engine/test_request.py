@@ -8,15 +8,16 @@ from dataclasses import replace
 import pytest
 import torch
 from PIL import Image
+from torch import Tensor
 
 from refine_engine.artifacts.make import make_report
 from refine_engine.cameras.seen import hard_silhouette
 from refine_engine.cameras.spec import camera_from_spec
 from refine_engine.checks.check import GivenPlane
-from refine_engine.errors import CameraInvalid, Cancelled, InputError
+from refine_engine.errors import CameraInvalid, Cancelled, InputError, SilhouetteInvalid
 from refine_engine.method.config import RefineConfig, Stage, Weights
 from refine_engine.method.loop import refine
-from refine_engine.request import Inputs, read_inputs, read_view
+from refine_engine.request import Inputs, Observation, read_inputs, read_view
 from refine_engine.values import Mesh, Progress
 from refine_proto.cameras import LookAtCamera
 from refine_proto.checks import Checks, Code
@@ -34,13 +35,17 @@ OBJ = "".join(
 ).encode()
 
 
+def encoded(pixels: Tensor) -> bytes:
+    image = io.BytesIO()
+    Image.fromarray(pixels.numpy()).save(image, "PNG")
+    return image.getvalue()
+
+
 def png(camera: LookAtCamera) -> bytes:
     """A box a tenth larger, as the camera sees it."""
     faces = [triangle for a, b, c, d in QUADS for triangle in ((a, b, c), (a, c, d))]
     larger = Mesh(torch.tensor(CORNERS) * 1.1, torch.tensor(faces))
-    image = io.BytesIO()
-    Image.fromarray(hard_silhouette(larger, camera_from_spec(camera, 64, 64)).numpy()).save(image, "PNG")
-    return image.getvalue()
+    return encoded(hard_silhouette(larger, camera_from_spec(camera, 64, 64)))
 
 
 def inputs() -> Inputs:
@@ -57,7 +62,7 @@ def test_warnings_about_the_files_reach_the_result_and_the_report() -> None:
     assert [finding.code for finding in read.findings] == [Code.CAMERA_MISREAD]
     result = read.refine(CONFIG)
     assert result.warnings[: len(read.warnings)] == read.warnings
-    assert make_report(read.mesh_file, result, CONFIG)["warnings"] == list(result.warnings)
+    assert make_report(read, result, CONFIG)["warnings"] == list(result.warnings)
 
 
 def test_inputs_refine_as_the_method_does() -> None:
@@ -107,3 +112,35 @@ def test_a_result_that_agrees_less_than_before_carries_a_warning() -> None:
 def test_a_given_mirror_plane_is_checked() -> None:
     askew = read_inputs(OBJ, "box.obj", png(FRONT), FRONT, symmetry=GivenPlane((1, 1, 0)))
     assert askew.findings[-1].code is Code.SYMMETRY_ELSEWHERE
+
+
+def test_several_views_are_read_with_what_is_unknown_in_each() -> None:
+    hidden = torch.zeros(64, 64, dtype=torch.bool)
+    hidden[:, 40:] = True
+    ignore = encoded(hidden)
+    read = read_inputs(
+        OBJ, "box.obj", png(FRONT), FRONT, more_views=[Observation(png(BACK), BACK, ignore)], ignore=ignore
+    )
+    for view, spec in zip(read.views, (FRONT, BACK), strict=True):
+        alone = read_view(png(spec), spec, ignore=ignore)
+        assert view.known is not None
+        assert torch.equal(view.known, ~hidden)
+        assert torch.equal(view.silhouette, alone.silhouette)
+        assert torch.equal(view.camera.world_to_camera, alone.camera.world_to_camera)
+
+
+def test_a_level_that_no_silhouette_has_is_said() -> None:
+    read = read_inputs(OBJ, "box.obj", png(FRONT), FRONT, ignore_grey=128)
+    assert read.warnings[-1] == "no pixel of a silhouette has the level 128 of ignore_grey"
+    assert read_inputs(OBJ, "box.obj", png(FRONT), FRONT).warnings == read.warnings[:-1]
+
+
+def test_what_is_wrong_with_a_view_names_it() -> None:
+    empty = Observation(encoded(torch.zeros(64, 64, dtype=torch.bool)), BACK)
+    with pytest.raises(SilhouetteInvalid, match=r"^view 2: expected an object"):
+        read_inputs(OBJ, "box.obj", png(FRONT), FRONT, more_views=[empty])
+    mirrored = FRONT.model_copy(update={"azimuth_degrees": -60})
+    read = read_inputs(OBJ, "box.obj", png(BACK), BACK, more_views=[Observation(png(mirrored), FRONT)])
+    (misread,) = (finding for finding in read.findings if finding.code is Code.CAMERA_MISREAD)
+    assert misread.message.startswith("view 2: expected a camera by which")
+    assert misread.message in read.warnings

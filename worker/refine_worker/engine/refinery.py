@@ -16,11 +16,11 @@ from refine_engine.cameras.seen import mean_silhouette_iou
 from refine_engine.checks.check import GivenPlane, refuse
 from refine_engine.method.config import RefineConfig
 from refine_engine.method.presets import make_config
-from refine_engine.request import Inputs, check_files
+from refine_engine.request import Inputs, Observation, check_files
 from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_proto.formats import ARTIFACTS
+from refine_proto.formats import ARTIFACTS, IGNORE, MESH, SILHOUETTE, of_view
 from refine_proto.models import Artifact, RefinementOptions, RefinementSpec, SilhouetteIou, Validation
 from refine_proto.progress import ProgressMeter
 
@@ -43,7 +43,7 @@ class Refinery:
         """Do the job. Raises the engine's errors and MemoryShort."""
         spec = RefinementSpec.model_validate(run.spec)
         config = config_of(spec.options)
-        inputs = self._read(run.job_id, spec, config, tell)
+        inputs = self._read(run, spec, config, tell)
         refuse(inputs.findings)
         tell(PhaseStarted(phase=Phase.REFINE))
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
@@ -61,7 +61,7 @@ class Refinery:
     def validate(self, run: Run, tell: Tell) -> Answered:
         """Say what `refine` would find in the inputs. Raises the engine's errors and MemoryShort."""
         spec = RefinementSpec.model_validate(run.spec)
-        inputs = self._read(run.job_id, spec, config_of(spec.options), tell)
+        inputs = self._read(run, spec, config_of(spec.options), tell)
         iou = mean_silhouette_iou(inputs.mesh_file.mesh, inputs.views)
         return Answered(answer=Validation.of(iou, inputs.warnings, inputs.findings))
 
@@ -74,19 +74,26 @@ class Refinery:
         if self._device.type == "cuda":
             torch.cuda.empty_cache()
 
-    def _read(self, job_id: str, spec: RefinementSpec, config: RefineConfig, tell: Tell) -> Inputs:
-        mesh, silhouette = (
-            self._blobs.get(keys.input_blob(job_id, part)) for part in (keys.MESH, keys.SILHOUETTE)
-        )
+    def _read(self, run: Run, spec: RefinementSpec, config: RefineConfig, tell: Tell) -> Inputs:
+        files = {
+            part: self._blobs.get(keys.input_blob(run.job_id, part))
+            for part in (MESH, SILHOUETTE, *run.more_files)
+        }
         tell(PhaseStarted(phase=Phase.READ))
         name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
         with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
             return check_files(
-                mesh,
+                files[MESH],
                 name,
-                silhouette,
+                files[SILHOUETTE],
                 spec.camera,
                 spec.options.silhouette_threshold,
+                ignore_grey=spec.options.ignore_grey,
+                ignore=files.get(IGNORE),
+                more_views=[
+                    Observation(files[of_view(SILHOUETTE, n)], view.camera, files.get(of_view(IGNORE, n)))
+                    for n, view in enumerate(spec.views, 2)
+                ],
                 checks=spec.options.checks,
                 symmetry=GivenPlane.of(config),
             )

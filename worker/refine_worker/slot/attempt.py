@@ -59,7 +59,14 @@ class Attempt:
 
     def _run(self) -> Done | Answered | Failed:
         engine, job = self._slot.engine, self._job
-        run = Run(job_id=job.id, attempt=job.attempt, task=job.task, spec=job.spec, log_fields=fields_of(job))
+        run = Run(
+            job_id=job.id,
+            attempt=job.attempt,
+            task=job.task,
+            spec=job.spec,
+            more_files=tuple(job.more_files),
+            log_fields=fields_of(job),
+        )
         engine.run(run)
         next_tick = self._started + _TICK_S
         while True:
