@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from itertools import count
+from collections.abc import Sequence
 from pathlib import Path
 
 from refine_proto.camera_files import read_camera_file
@@ -31,8 +30,8 @@ def submit_command(argv: Sequence[str]) -> None:
     """Run `refine submit`."""
     arguments = submit_parser().parse_args(argv)
     first, *further = [
-        View(paths.silhouette, read_camera_file(paths.camera, place), paths.ignore)
-        for place, paths in zip(_places(), read_views(arguments), strict=False)
+        View(paths.silhouette, read_camera_file(paths.camera, paths.place), paths.ignore)
+        for paths in read_views(arguments)
     ]
     options = read_options(arguments)
     if arguments.output is not None:
@@ -59,13 +58,6 @@ def submit_command(argv: Sequence[str]) -> None:
                 file=sys.stderr,
             )
             raise
-
-
-def _places() -> Iterator[tuple[str | int, ...]]:
-    """Where the cameras of the views sit in a request."""
-    yield ("camera",)
-    for number in count():
-        yield ("views", number, "camera")
 
 
 def submit_parser() -> Parser:

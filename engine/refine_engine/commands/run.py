@@ -90,7 +90,7 @@ def _run(arguments: argparse.Namespace) -> None:
     first, *further = [
         Observation(
             _read(paths.silhouette),
-            _camera(paths.camera),
+            _camera(paths.camera, paths.place),
             _read(paths.ignore) if paths.ignore else None,
         )
         for paths in read_views(arguments)
@@ -143,9 +143,9 @@ def _read(path: Path) -> bytes:
         raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
 
 
-def _camera(path: Path) -> CameraSpec:
+def _camera(path: Path, place: Sequence[str | int]) -> CameraSpec:
     try:
-        return read_camera_file(path)
+        return read_camera_file(path, place)
     except OSError as error:
         raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
 

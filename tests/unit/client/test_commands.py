@@ -313,3 +313,11 @@ def test_camera_files_that_name_no_camera(
     assert submit_command([*submission[:-1], f"{tmp_path}/{camera}"]) == 2
     assert says in capsys.readouterr().err
     assert script.calls == []
+
+
+def test_a_bad_camera_of_a_view_is_told_where_it_is(
+    submission: list[str], tmp_path: Path, capsys: Output
+) -> None:
+    (tmp_path / "bad.json").write_text(json.dumps({"type": "look_at"}))
+    assert submit_command([*submission, "--view", submission[1], f"{tmp_path}/bad.json"]) == 2
+    assert "/views/0/camera/azimuth_degrees: expected this required field" in capsys.readouterr().err
