@@ -327,3 +327,14 @@ def test_several_views_and_unknown_pixels(inputs: Path, tmp_path: Path) -> None:
     report = json.loads((out / "report.json").read_text())
     assert [view["known"] for view in report["views"]] == [1.0, 0.5]
     assert len(report["views"]) == 2
+
+
+def test_a_bad_camera_of_a_view_is_told_where_it_is(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.json").write_text(json.dumps({"type": "look_at"}))
+    files = [str(inputs / name) for name in ("box.obj", "silhouette.png")]
+    view = ["--view", files[1], str(tmp_path / "bad.json")]
+    camera = ["--camera", str(inputs / "camera.json")]
+    assert run.run_command([*files, *camera, *view, "-o", str(tmp_path / "out")]) == 2
+    assert "CAMERA_INVALID: /views/0/camera/azimuth_degrees: expected" in capsys.readouterr().err

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
-from itertools import count
+from collections.abc import Sequence
 from pathlib import Path
 
 from refine_proto.camera_files import read_camera_file
@@ -62,16 +61,9 @@ def submit_command(argv: Sequence[str]) -> None:
 def read_view_files(arguments: argparse.Namespace) -> list[View]:
     """The views that the arguments of `add_files` name; CameraInvalid."""
     return [
-        View(paths.silhouette, read_camera_file(paths.camera, place), paths.ignore)
-        for place, paths in zip(_places(), read_views(arguments), strict=False)
+        View(paths.silhouette, read_camera_file(paths.camera, paths.place), paths.ignore)
+        for paths in read_views(arguments)
     ]
-
-
-def _places() -> Iterator[tuple[str | int, ...]]:
-    """Where the cameras of the views sit in a request."""
-    yield ("camera",)
-    for number in count():
-        yield ("views", number, "camera")
 
 
 def submit_parser() -> Parser:

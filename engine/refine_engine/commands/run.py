@@ -92,7 +92,7 @@ def read_observations(arguments: argparse.Namespace) -> list[Observation]:
     return [
         Observation(
             read_file(paths.silhouette),
-            _camera(paths.camera),
+            _camera(paths.camera, paths.place),
             read_file(paths.ignore) if paths.ignore else None,
         )
         for paths in read_views(arguments)
@@ -162,9 +162,9 @@ def read_file(path: Path) -> bytes:
         raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
 
 
-def _camera(path: Path) -> CameraSpec:
+def _camera(path: Path, place: Sequence[str | int]) -> CameraSpec:
     try:
-        return read_camera_file(path)
+        return read_camera_file(path, place)
     except OSError as error:
         raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
 

@@ -157,9 +157,12 @@ def _brightness(rgb: NDArray[np.uint8]) -> Levels:
     brightest: Levels = np.asarray(rgb.max(2))
     if (rgb == rgb[..., :1]).all():  # grey
         return brightest
-    if brightest.min() == brightest.max() or _two_levels(red << 16 | green << 8 | blue):
-        return np.asarray(299 * red + 587 * green + 114 * blue)
-    return brightest
+    colour = red << 16 | green << 8 | blue
+    two = _two_levels(colour)
+    if not two and brightest.min() < brightest.max():
+        return brightest
+    luminance: Levels = 299 * red + 587 * green + 114 * blue
+    return colour if two and luminance.min() == luminance.max() else luminance
 
 
 def _stored(image: Image.Image, channel: Levels) -> Levels:

@@ -18,7 +18,8 @@ class ViewPaths(NamedTuple):
 
     silhouette: Path
     camera: Path
-    ignore: Path | None
+    ignore: Path | None = None
+    place: tuple[str | int, ...] = ("camera",)  # where the camera sits in a request
 
 
 def add_views(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +51,8 @@ def read_views(arguments: argparse.Namespace) -> list[ViewPaths]:
                 f"file{'s' if len(paths) > 1 else ''}: {' '.join(map(str, paths))}"
             )
     further = [
-        ViewPaths(paths[0], paths[1], paths[2] if len(paths) > 2 else None) for paths in arguments.views
+        ViewPaths(paths[0], paths[1], paths[2] if len(paths) > 2 else None, ("views", number, "camera"))
+        for number, paths in enumerate(arguments.views)
     ]
     if len(further) >= MAX_VIEWS:
         raise InvalidInput(f"expected at most {MAX_VIEWS} views, got {len(further) + 1}")

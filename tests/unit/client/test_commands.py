@@ -309,3 +309,40 @@ def test_views_that_cannot_be(
     assert submit_command([*submission, *more]) == 2
     assert says in capsys.readouterr().err
     assert script.calls == []
+
+
+def test_submit_takes_a_frame_of_transforms_json(
+    submission: list[str], script: Script, tmp_path: Path
+) -> None:
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
+    frames = [{"file_path": f"./{name}", "transform_matrix": pose} for name in ("r_0", "r_1")]
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.5, "frames": frames}))
+    assert submit_command([*submission[:-1], f"{tmp_path}/transforms.json#r_1"]) == 0
+    (upload,) = script.uploads.values()
+    assert upload["camera"]["convention"] == "opengl"
+    assert upload["camera"]["fov_x_degrees"] == pytest.approx(28.6479, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("camera", "says"),
+    [
+        ("transforms.json", "expected one camera as"),
+        ("missing.json#r_0", "missing.json"),
+        ("missing.json", "missing.json"),
+    ],
+)
+def test_camera_files_that_name_no_camera(
+    submission: list[str], script: Script, tmp_path: Path, capsys: Output, camera: str, says: str
+) -> None:
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": []}))
+    assert submit_command([*submission[:-1], f"{tmp_path}/{camera}"]) == 2
+    assert says in capsys.readouterr().err
+    assert script.calls == []
+
+
+def test_a_bad_camera_of_a_view_is_told_where_it_is(
+    submission: list[str], tmp_path: Path, capsys: Output
+) -> None:
+    (tmp_path / "bad.json").write_text(json.dumps({"type": "look_at"}))
+    assert submit_command([*submission, "--view", submission[1], f"{tmp_path}/bad.json"]) == 2
+    assert "/views/0/camera/azimuth_degrees: expected this required field" in capsys.readouterr().err

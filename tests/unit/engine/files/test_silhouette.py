@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
 from refine_engine.errors import FormatUnsupported, InputError, SilhouetteInvalid
@@ -155,6 +157,38 @@ def test_of_two_levels_the_brighter_is_the_object(data: bytes) -> None:
     read = read_silhouette(data)
     assert np.array_equal(read.coverage.numpy(), DISC)
     assert (read.known, read.warnings) == (None, ())
+
+
+LUMINANCE = np.array([299, 587, 114])
+colours = st.tuples(*(st.integers(0, 255) for _ in range(3)))
+
+
+@given(one=colours, other=colours)
+def test_any_two_colours_are_a_mask(one: tuple[int, int, int], other: tuple[int, int, int]) -> None:
+    assume(one != other)
+    dark, bright = sorted((one, other), key=lambda colour: (int(LUMINANCE @ colour), colour))
+    assert np.array_equal(read_silhouette(coloured(dark, bright)).coverage.numpy(), DISC)
+    assert np.array_equal(read_silhouette(palette(dark, bright)).coverage.numpy(), DISC)
+
+
+@given(
+    levels=st.tuples(st.integers(0, 65_535), st.integers(0, 65_535)).filter(lambda pair: pair[0] != pair[1])
+)
+def test_any_two_levels_are_a_mask(levels: tuple[int, int]) -> None:
+    low, high = sorted(levels)
+    assert np.array_equal(read_silhouette(raw_png(np.where(DISC, high, low), 16)).coverage.numpy(), DISC)
+
+
+@given(levels=st.lists(st.integers(0, 65_535), min_size=3, max_size=3, unique=True))
+def test_the_ignored_level_leaves_two(levels: list[int]) -> None:
+    unknown, low, high = levels[0], *sorted(levels[1:])
+    picture = np.where(DISC, high, low)
+    picture[:, 14:] = unknown
+    read = read_silhouette(raw_png(picture, 16), ignore_grey=unknown)
+    assert read.known is not None
+    assert not read.known[:, 14:].any()
+    assert read.known[:, :14].all()
+    assert np.array_equal(read.coverage.numpy()[:, :14], DISC[:, :14])
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "WEBP"])
