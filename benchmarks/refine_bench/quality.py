@@ -71,7 +71,7 @@ def score_case(case: Path, refined: Path) -> Score:
     low, high = reference.min((0, 1)), reference.max((0, 1))
     centre, half_side = (low + high) / 2, (high - low).max() / 2
     scores = [
-        _compare((_triangles(mesh) - centre) / half_side, (reference - centre) / half_side) for mesh in meshes
+        compare((_triangles(mesh) - centre) / half_side, (reference - centre) / half_side) for mesh in meshes
     ]
     (chamfer_before, f_before), (chamfer_after, f_after) = scores
     return Score(case.name, (before, after), (chamfer_before, chamfer_after), (f_before, f_after))
@@ -82,7 +82,7 @@ def _triangles(mesh: Mesh) -> Array:
     return triangles
 
 
-def _compare(triangles: Array, reference: Array) -> tuple[float, float]:
+def compare(triangles: Array, reference: Array) -> tuple[float, float]:
     """(Chamfer-l2, F-score), means over the seeds."""
     rows = []
     for seed in SCORING_SEEDS:

@@ -6,10 +6,13 @@
 Values are those of `refine_proto.models`, errors those of `refine_proto.errors`. `cli` is `refine`.
 """
 
+from refine_proto.camera_files import read_camera_file
+
 from .aio import AsyncRefineClient
 from .client import RefineClient, Refined
 from .errors import ConnectionLost, DownloadCorrupt
 from .retry import RetryPolicy
+from .upload import View
 
 __all__ = [
     "AsyncRefineClient",
@@ -18,4 +21,6 @@ __all__ = [
     "RefineClient",
     "Refined",
     "RetryPolicy",
+    "View",
+    "read_camera_file",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Mapping
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import aclosing, suppress
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +20,7 @@ from refine_proto.models import (
     Refinement,
     RefinementOptions,
     RefinementPage,
+    Validation,
 )
 
 from .address import Connection
@@ -29,7 +30,7 @@ from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
 from .retry import Retries, RetryPolicy
 from .transports.base import make_async_transport
-from .upload import Source, make_upload
+from .upload import Source, View, make_upload
 
 T = TypeVar("T")
 
@@ -60,12 +61,29 @@ class AsyncRefineClient:
         camera: CameraSpec | Mapping[str, Any],
         options: RefinementOptions | Mapping[str, Any] | None = None,
         *,
+        ignore: Source | None = None,
+        views: Sequence[View] = (),
         mesh_format: MeshFormat | str | None = None,
         idempotency_key: str | None = None,
     ) -> Refinement:
         """See RefineClient.submit."""
-        upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key)
+        upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views)
         return await self._retried(lambda: self._transport.create(upload))
+
+    async def validate(
+        self,
+        mesh: Source,
+        silhouette: Source,
+        camera: CameraSpec | Mapping[str, Any],
+        options: RefinementOptions | Mapping[str, Any] | None = None,
+        *,
+        ignore: Source | None = None,
+        views: Sequence[View] = (),
+        mesh_format: MeshFormat | str | None = None,
+    ) -> Validation:
+        """See RefineClient.validate."""
+        upload = make_upload(mesh, silhouette, camera, options, mesh_format, ignore=ignore, views=views)
+        return await self._retried(lambda: self._transport.validate(upload))
 
     async def get(self, refinement_id: str) -> Refinement:
         """See RefineClient.get."""
@@ -134,12 +152,16 @@ class AsyncRefineClient:
         directory: str | os.PathLike[str],
         options: RefinementOptions | Mapping[str, Any] | None = None,
         *,
+        ignore: Source | None = None,
+        views: Sequence[View] = (),
         mesh_format: MeshFormat | str | None = None,
         progress: Callable[[Progress], None] | None = None,
     ) -> Refined:
         """See RefineClient.refine; cancelling the task cancels the refinement."""
         Path(directory).mkdir(parents=True, exist_ok=True)
-        refinement = await self.submit(mesh, silhouette, camera, options, mesh_format=mesh_format)
+        refinement = await self.submit(
+            mesh, silhouette, camera, options, ignore=ignore, views=views, mesh_format=mesh_format
+        )
         try:
             async with aclosing(self.watch(refinement.id)) as events:
                 async for event in events:

@@ -23,6 +23,7 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "run": Command("refine one mesh in this process", ("engine",)),
+    "check": Command("say what looks wrong with a mesh, its silhouette and its camera", ("engine",)),
     "eval": Command("compare a mesh with the ground truth: EMD, Chamfer-l2, F-score, IoU", ("engine",)),
     "bench": Command("refine and score a whole data set", ("bench",)),
     "serve": Command("run everything here: Redis, service and worker", ("service", "worker")),
@@ -30,6 +31,7 @@ COMMANDS = {
     "keys": Command("create and revoke API keys", ("service",)),
     "worker": Command("run worker slots", ("worker",)),
     "submit": Command("send a mesh, a silhouette and a camera to a server"),
+    "validate": Command("let a server say what looks wrong with a mesh, its silhouette and its camera"),
     "get": Command("show one refinement"),
     "list": Command("list refinements"),
     "watch": Command("follow the progress of a refinement"),
@@ -75,7 +77,8 @@ class _NotRunnable(Exception):
 
 def _run(name: str, argv: Sequence[str]) -> int:
     if name not in COMMANDS:
-        near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
+        begun = [command for command in COMMANDS if name.startswith(command)]
+        near = begun or difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else "refine --help lists them"
         raise _NotRunnable(f"expected a command of refine, got {name!r}; {hint}")
     entry_point = installed_commands().get(name)

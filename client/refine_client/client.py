@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from refine_proto.models import (
     Refinement,
     RefinementOptions,
     RefinementPage,
+    Validation,
 )
 
 from .address import Connection
@@ -29,7 +30,7 @@ from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
 from .retry import Retries, RetryPolicy
 from .transports.base import make_transport
-from .upload import Source, make_upload
+from .upload import Source, View, make_upload
 
 T = TypeVar("T")
 
@@ -77,6 +78,8 @@ class RefineClient:
         camera: CameraSpec | Mapping[str, Any],
         options: RefinementOptions | Mapping[str, Any] | None = None,
         *,
+        ignore: Source | None = None,
+        views: Sequence[View] = (),
         mesh_format: MeshFormat | str | None = None,
         idempotency_key: str | None = None,
     ) -> Refinement:
@@ -84,9 +87,11 @@ class RefineClient:
 
         Args:
             mesh: Path or content of a GLB, glTF, OBJ, PLY, STL or OFF file, or of a ZIP of one.
-            silhouette: Path or content of a PNG: alpha, or white on black.
+            silhouette: Path or content of a PNG, JPEG, WebP, TIFF or BMP: alpha, or white on black.
             camera: The camera of the silhouette: a LookAtCamera, a MatrixCamera or the same as a mapping.
             options: RefinementOptions or a mapping; what is left out has its default.
+            ignore: An image of the silhouette's size: where it shows an object, nothing is known.
+            views: Further views of the same object.
             mesh_format: Default: the suffix of the path, else the server recognises the content.
             idempotency_key: Sending the same key and content again gives the first refinement again. Default:
                 a new one, which the retries of this call share.
@@ -94,8 +99,27 @@ class RefineClient:
         Raises:
             OSError: A file cannot be read.
         """
-        upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key)
+        upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views)
         return self._retried(lambda: self._transport.create(upload))
+
+    def validate(
+        self,
+        mesh: Source,
+        silhouette: Source,
+        camera: CameraSpec | Mapping[str, Any],
+        options: RefinementOptions | Mapping[str, Any] | None = None,
+        *,
+        ignore: Source | None = None,
+        views: Sequence[View] = (),
+        mesh_format: MeshFormat | str | None = None,
+    ) -> Validation:
+        """Say what looks wrong, and whether `submit` would refine it, without a refinement.
+
+        The arguments are those of `submit`. Raises what a refinement of files that cannot be read fails with,
+        and Unavailable if no worker slot has time to answer.
+        """
+        upload = make_upload(mesh, silhouette, camera, options, mesh_format, ignore=ignore, views=views)
+        return self._retried(lambda: self._transport.validate(upload))
 
     def get(self, refinement_id: str) -> Refinement:
         """The refinement as it is now."""
@@ -169,13 +193,15 @@ class RefineClient:
         directory: str | os.PathLike[str],
         options: RefinementOptions | Mapping[str, Any] | None = None,
         *,
+        ignore: Source | None = None,
+        views: Sequence[View] = (),
         mesh_format: MeshFormat | str | None = None,
         progress: Callable[[Progress], None] | None = None,
     ) -> Refined:
         """Submit, follow and download in one call; if that is interrupted, the refinement is cancelled.
 
         Args:
-            mesh, silhouette, camera, options, mesh_format: As for `submit`.
+            mesh, silhouette, camera, options, ignore, views, mesh_format: As for `submit`.
             directory: Where the artifacts go.
             progress: Called with every Progress, at most about twice a second.
 
@@ -183,7 +209,9 @@ class RefineClient:
             JobFailed: The refinement did not succeed, and why; also InvalidInput, found by the worker.
         """
         Path(directory).mkdir(parents=True, exist_ok=True)
-        refinement = self.submit(mesh, silhouette, camera, options, mesh_format=mesh_format)
+        refinement = self.submit(
+            mesh, silhouette, camera, options, ignore=ignore, views=views, mesh_format=mesh_format
+        )
         try:
             for event in self.watch(refinement.id):
                 if event.progress is not None and progress is not None:

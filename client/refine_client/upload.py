@@ -1,12 +1,12 @@
-"""What a submission sends: two files and a checked spec."""
+"""What a submission sends: its files and a checked spec."""
 
 from __future__ import annotations
 
 import io
 import os
 import uuid
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -14,12 +14,21 @@ from typing import Any, BinaryIO, NamedTuple
 from pydantic import ValidationError
 
 from refine_proto.errors import check_idempotency_key, from_validation
-from refine_proto.formats import format_of_name
+from refine_proto.formats import IGNORE, MESH, SILHOUETTE, format_of_name, of_view
 from refine_proto.models import CameraSpec, MeshFormat, RefinementOptions, RefinementSpec
 
 CHUNK_BYTES = 64 * 1024
 Source = bytes | str | os.PathLike[str]
 """The content of a file, or its path. A path is read while it is sent, never as a whole."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A further view of the same object: its silhouette, the camera that saw it, what is unknown in it."""
+
+    silhouette: Source
+    camera: CameraSpec | Mapping[str, Any]
+    ignore: Source | None = None
 
 
 class OpenFile(NamedTuple):
@@ -37,15 +46,14 @@ class Upload:
     """A submission that can be sent any number of times; its key makes them one."""
 
     spec: RefinementSpec
-    mesh: Source
-    silhouette: Source
+    files: Mapping[str, Source]  # by their names in the request: mesh, silhouette, ignore, silhouette_2, ...
     idempotency_key: str
 
     @contextmanager
-    def opened(self) -> Iterator[tuple[OpenFile, OpenFile]]:
-        """The mesh and the silhouette, from their beginnings; OSError if one cannot be read."""
-        with _open(self.mesh, "mesh") as mesh, _open(self.silhouette, "silhouette") as silhouette:
-            yield mesh, silhouette
+    def opened(self) -> Iterator[dict[str, OpenFile]]:
+        """All files by name, from their beginnings; OSError if one cannot be read."""
+        with ExitStack() as stack:
+            yield {name: stack.enter_context(_open(file, name)) for name, file in self.files.items()}
 
 
 def make_upload(
@@ -55,19 +63,32 @@ def make_upload(
     options: RefinementOptions | Mapping[str, Any] | None = None,
     mesh_format: MeshFormat | str | None = None,
     idempotency_key: str | None = None,
+    ignore: Source | None = None,
+    views: Sequence[View] = (),
 ) -> Upload:
     """Check everything but the files; InvalidInput, the server's errors, if something is wrong."""
     if mesh_format is None and not isinstance(mesh, bytes):
         mesh_format = format_of_name(os.fspath(mesh))
     try:
         spec = RefinementSpec.model_validate(
-            {"camera": camera, "options": options or RefinementOptions(), "mesh_format": mesh_format}
+            {
+                "camera": camera,
+                "options": options or RefinementOptions(),
+                "mesh_format": mesh_format,
+                "views": [{"camera": view.camera} for view in views],
+            }
         )
     except ValidationError as error:
         raise from_validation(error.errors()) from None
     key = str(uuid.uuid4()) if idempotency_key is None else idempotency_key
     check_idempotency_key(key)
-    return Upload(spec, mesh, silhouette, key)
+    images = {
+        of_view(part, number): file
+        for number, view in enumerate((View(silhouette, camera, ignore), *views), 1)
+        for part, file in ((SILHOUETTE, view.silhouette), (IGNORE, view.ignore))
+        if file is not None
+    }
+    return Upload(spec, {MESH: mesh, **images}, key)
 
 
 @contextmanager

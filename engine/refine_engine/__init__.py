@@ -7,7 +7,7 @@ from .artifacts.make import make_artifacts
 from .cameras.spec import camera_from_spec, read_camera
 from .errors import Cancelled, Diverged, InputError, RefineError
 from .files.mesh_file import MeshFile, read_mesh
-from .files.png import read_silhouette
+from .files.silhouette import Silhouette, read_silhouette
 from .method.config import RefineConfig
 from .method.loop import refine
 from .method.presets import make_config
@@ -26,6 +26,7 @@ __all__ = [
     "RefineConfig",
     "RefineError",
     "Result",
+    "Silhouette",
     "View",
     "camera_from_spec",
     "make_artifacts",

@@ -150,9 +150,9 @@ class Camera:
         return Camera(torch.tensor(rows), f, f, width / 2, height / 2, width, height)
 
 
-def focal_length(fov_y_degrees: float, height: int) -> float:
-    """Pixels: of an image that is `height` pixels high and sees so much from top to bottom."""
-    return 0.5 * height / math.tan(math.radians(fov_y_degrees) / 2)
+def focal_length(fov_degrees: float, pixels: int) -> float:
+    """Pixels: of an image that sees so much over `pixels` of its height, or of its width."""
+    return 0.5 * pixels / math.tan(math.radians(fov_degrees) / 2)
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,7 @@ class View:
 
     silhouette: Tensor  # (H, W) float32, 1 object, 0 background
     camera: Camera
+    known: Tensor | None = None  # (H, W) bool: the pixels that say something; None: all of the image
 
     def __post_init__(self) -> None:
         s, c = self.silhouette, self.camera
@@ -171,7 +172,17 @@ class View:
                 f"expected a silhouette of the camera's size {c.width}x{c.height}, "
                 f"got {s.shape[1]}x{s.shape[0]}"
             )
-        covered = float((s > 0.5).float().mean())
+        seen = s
+        if self.known is not None:
+            if self.known.shape != s.shape or self.known.dtype != torch.bool:
+                raise SilhouetteInvalid(
+                    f"expected known pixels {tuple(s.shape)} bool, got {tuple(self.known.shape)} "
+                    f"{self.known.dtype}"
+                )
+            seen = s[self.known]
+            if len(seen) == 0:
+                raise SilhouetteInvalid("expected pixels that are known, got none")
+        covered = float((seen > 0.5).float().mean())
         if covered == 0.0:
             raise SilhouetteInvalid("expected an object in the silhouette, got no pixel above the threshold")
         if covered == 1.0:
@@ -180,8 +191,14 @@ class View:
             )
 
     def to(self, device: torch.device | str) -> View:
-        """This view with its silhouette on a device; a camera's few numbers follow when they are used."""
-        return View(self.silhouette.to(device), self.camera)
+        """This view with its pixels on a device; a camera's few numbers follow when they are used."""
+        known = None if self.known is None else self.known.to(device)
+        return View(self.silhouette.to(device), self.camera, known)
+
+    def object(self) -> Tensor:
+        """(H, W) bool: the pixels of the object that are known."""
+        wanted = self.silhouette > 0.5
+        return wanted if self.known is None else wanted & self.known
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import base64
 import binascii
 import hashlib
 import secrets
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Any
@@ -33,7 +33,7 @@ from refine_proto.models import Event, FieldError, Refinement, RefinementPage, R
 from . import keys
 from .delivery import Delivery
 from .feed import EventFeed
-from .record import Job, Submission, encode, to_json
+from .record import Job, Submission, Task, encode, to_json
 from .redis_server import RETRY_S, unavailable
 from .scripts import Clock, Scripts
 from .settings import JobSettings
@@ -104,8 +104,10 @@ class JobStore:
         record = encode(
             {
                 "spec": spec,
+                "task": submission.task,
                 "mesh": submission.mesh,
                 "silhouette": submission.silhouette,
+                "more_files": submission.more_files or None,
                 "request_id": submission.request_id,
                 "traceparent": submission.traceparent,
             }
@@ -123,7 +125,7 @@ class JobStore:
             int(settings.retention_s * 1000),
             len(record),
             *record,
-            *self._delivery.enqueue(submission.id, 1, timeout_s),
+            *self._delivery.enqueue(submission.id, 1, timeout_s, at_front=submission.task is not Task.REFINE),
         )
         self._check_room(outcome)
         if outcome == "reused":
@@ -144,6 +146,11 @@ class JobStore:
             pipe.zrank(keys.QUEUED, job_id)
             fields, rank = await pipe.execute()
         return _owned(owner, job_id, fields).refinement(rank)
+
+    @unavailable
+    async def answer(self, owner: str, job_id: str) -> Mapping[str, Any] | None:
+        """What a worker has answered to a question; None where it did something else."""
+        return (await self._job(owner, job_id)).answer
 
     @unavailable
     async def list(self, owner: str, limit: int = 20, cursor: str | None = None) -> RefinementPage:
@@ -167,7 +174,7 @@ class JobStore:
         # An entry without a record was removed between the two steps.
         read = ((Job.read(fields), rank) for fields, rank in zip(values[::2], values[1::2], strict=True))
         return RefinementPage(
-            refinements=[job.refinement(rank) for job, rank in read if job],
+            refinements=[job.refinement(rank) for job, rank in read if job and job.task is Task.REFINE],
             next_cursor=_cursor(int(found[limit - 1][1])) if len(found) > limit else None,
         )
 
@@ -242,7 +249,8 @@ def _owned(owner: str, job_id: str, fields: dict[str, str]) -> Job:
 
 def _fingerprint(submission: Submission) -> str:
     """The same for the same files and the same spec, however it was written."""
-    return _sha256(to_json([submission.spec, submission.mesh, submission.silhouette]))
+    more = [dict(sorted(submission.more_files.items()))] if submission.more_files else []
+    return _sha256(to_json([submission.spec, submission.mesh, submission.silhouette, *more]))
 
 
 def _sha256(text: str) -> str:

@@ -6,6 +6,9 @@ touches them. All times are milliseconds of the Redis server, so that one clock 
 
 from __future__ import annotations
 
+from refine_proto.formats import MESH as MESH  # "X as X": callers name the blobs of a job by them
+from refine_proto.formats import SILHOUETTE as SILHOUETTE
+
 JOB = "refine:job:"  # + id: hash, the record (record.py)
 EVENTS = "refine:events:"  # + id: stream of state, progress and completed events; entry ids are <sequence>-0
 OWNER = "refine:owner:"  # + owner: sorted set of ids by submission number, for lists
@@ -34,9 +37,6 @@ RQ_TIMEOUT_MARGIN_S = 120  # RQ's own timeout is the outermost guard, after ours
 RQ_RESULT_S = 60  # RQ's view of a finished job; the truth is ours
 RQ_FAILURE_S = 86_400  # RQ's default is a year of tracebacks
 BUCKETS_S = "0.05 0.1 0.25 0.5 1 2.5 5 10 30 60 120 300 600 1800 3600"  # bounds of the histograms
-
-MESH = "mesh"
-SILHOUETTE = "silhouette"
 
 
 def lua_constants() -> str:
@@ -80,7 +80,7 @@ def blob_folder(job_id: str) -> str:
 
 
 def input_blob(job_id: str, part: str) -> str:
-    """Name of an uploaded file; `part` is MESH or SILHOUETTE."""
+    """Name of an uploaded file; `part` is what the request calls it: mesh, silhouette, silhouette_2, ..."""
     return f"jobs/{job_id}/input/{part}"
 
 

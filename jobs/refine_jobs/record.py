@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from enum import StrEnum
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -15,6 +16,7 @@ from refine_proto.models import (
     CameraCorrection,
     Event,
     EventType,
+    Finding,
     MirrorPlane,
     Outcome,
     ProblemDetails,
@@ -27,16 +29,23 @@ from refine_proto.models import (
 
 from .blobs import Blob
 
-_OF_RESULT = ("silhouette_iou", "warnings", "mirror_plane", "camera_correction")
-_JSON = ("spec", "mesh", "silhouette", "progress", "error", "artifacts", *_OF_RESULT)
+_OF_RESULT = ("silhouette_iou", "warnings", "mirror_plane", "camera_correction", "checks", "answer")
+_JSON = ("spec", "mesh", "silhouette", "more_files", "progress", "error", "artifacts", *_OF_RESULT)
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
 
 log = logging.getLogger(__name__)
 
 
+class Task(StrEnum):
+    """What a worker does with a job. All but a refinement are questions: answered soon, and never listed."""
+
+    REFINE = "refine"
+    VALIDATE = "validate"
+
+
 class Submission(BaseModel):
-    """What the edge hands over once both files are in the blob store."""
+    """What the edge hands over once all files are in the blob store."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -45,6 +54,8 @@ class Submission(BaseModel):
     spec: RefinementSpec
     mesh: Blob
     silhouette: Blob
+    task: Task = Task.REFINE
+    more_files: Mapping[str, Blob] = {}  # by their names in the request: ignore, silhouette_2, ...
     idempotency_key: str | None = None
     request_id: str | None = None
     traceparent: str | None = None
@@ -62,6 +73,8 @@ class Job(BaseModel):
     spec: Mapping[str, Any]  # a RefinementSpec, checked at the edge: only who refines reads it again
     mesh: Blob
     silhouette: Blob
+    task: Task = Task.REFINE
+    more_files: Mapping[str, Blob] = {}
     created_at: datetime
     expires_at: datetime
     started_at: datetime | None = None
@@ -75,6 +88,8 @@ class Job(BaseModel):
     warnings: tuple[str, ...] = ()
     mirror_plane: MirrorPlane | None = None
     camera_correction: CameraCorrection | None = None
+    checks: tuple[Finding, ...] = ()
+    answer: Mapping[str, Any] | None = None  # to a question
     request_id: str | None = None
     traceparent: str | None = None
     sequence: int = 0  # of its last event
@@ -122,6 +137,7 @@ class Job(BaseModel):
             expires_at=self.expires_at,
             queue_position=queue_position,
             silhouette_iou=self.silhouette_iou,
+            checks=list(self.checks),
             attempt=self.attempt,
             outcome=self.outcome,
             warnings=list(self.warnings),

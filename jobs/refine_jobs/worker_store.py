@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from pydantic import BaseModel
 from redis import Redis
 
 from refine_proto.errors import RefineError, WorkerLost
-from refine_proto.models import Artifact, Judgement, Progress, State
+from refine_proto.models import Artifact, Finding, Judgement, Progress, State
 
 from . import keys
 from .delivery import Delivery, delivery_id
@@ -51,10 +52,16 @@ class WorkerStore:
         """As renew, with progress for the watchers."""
         return self._held(job, self._run("renew", job.id, job.attempt, self._lease_ms, to_json(progress)))
 
-    def finish(self, job: Job, artifacts: Sequence[Artifact], judgement: Judgement) -> None:
+    def finish(
+        self, job: Job, artifacts: Sequence[Artifact], judgement: Judgement, checks: Sequence[Finding] = ()
+    ) -> None:
         """The job succeeded; its artifacts are in the blob store (keys.artifact_blob). Raises LeaseLost."""
-        fields = {"artifacts": list(artifacts), **dict(judgement)}
+        fields = {"artifacts": list(artifacts), "checks": list(checks), **dict(judgement)}
         self._end(job, State.SUCCEEDED, "", encode(fields))
+
+    def answer(self, job: Job, answer: BaseModel) -> None:
+        """The job was a question, and this is the answer. Raises LeaseLost."""
+        self._end(job, State.SUCCEEDED, "", encode({"answer": answer}))
 
     def fail(self, job: Job, error: RefineError) -> None:
         """The job failed for good. Raises LeaseLost."""

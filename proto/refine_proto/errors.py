@@ -22,6 +22,7 @@ finds wrong with the files of an accepted refinement is InvalidInput: it is the 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -271,14 +272,16 @@ def from_problem(problem: ProblemDetails, *, retry_after_s: float | None = None)
     )
 
 
-# The first step of a pointer decides the reason.
+# The first step of a pointer decides the reason; of a further view the third.
 _REASON_OF_PART = {
     "camera": CameraInvalid,
     "options": OptionsInvalid,
     "mesh": MeshInvalid,
     "mesh_format": FormatUnsupported,
     "silhouette": SilhouetteInvalid,
+    "ignore": SilhouetteInvalid,
 }
+_OF_A_VIEW = re.compile(r"^/views/\d+/|(?<=^/silhouette)_\d+$|(?<=^/ignore)_\d+$")
 
 
 def from_validation(
@@ -286,10 +289,16 @@ def from_validation(
 ) -> InvalidInput:
     """The error for pydantic's `error.errors()`; `under` is where the validated value sits in the request."""
     wrong = list(complaints(line_errors, under))
-    parts = {pointer.split("/")[1] if pointer else "" for pointer, _ in wrong}
+    parts = {_part(pointer) for pointer, _ in wrong}
     error = _REASON_OF_PART.get(parts.pop(), InvalidInput) if len(parts) == 1 else InvalidInput
     fields = [FieldError(pointer=pointer, detail=sentence) for pointer, sentence in wrong]
     return error(in_one_line(wrong), errors=fields)
+
+
+def _part(pointer: str) -> str:
+    """The part of a request that a pointer is in; `camera` for a further view's camera."""
+    first = _OF_A_VIEW.sub(lambda found: "/" if found[0].endswith("/") else "", pointer)
+    return first.split("/")[1] if first else ""
 
 
 _MAX_KEY_LENGTH = 255

@@ -1,4 +1,4 @@
-"""What files are: mesh formats, what their first bytes say, limits, artifact names. Imports nothing of ours.
+"""What files are: of a request, mesh formats, what their first bytes say, artifacts. Imports nothing of ours.
 
 Edge, worker, client and engine all read this page, so that they cannot disagree.
 """
@@ -10,9 +10,23 @@ from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import PurePath
 
-HEAD_BYTES = 1024  # of a file, enough for `recognise_mesh` and `png_size`
-MAX_IMAGE_SIDE = 4096  # pixels of a silhouette
-SILHOUETTE_THRESHOLD = 0.25  # of full scale; below one half, because published masks are mostly alpha 127
+HEAD_BYTES = 1024  # of a file, enough for `recognise_mesh`
+SILHOUETTE_THRESHOLD = 0.5  # of the way from the smallest to the largest level of the image itself
+
+
+MESH = "mesh"
+SILHOUETTE = "silhouette"
+IGNORE = "ignore"
+MAX_VIEWS = 8  # of one request, the first included
+
+
+def of_view(part: str, number: int) -> str:
+    """The name of a view's file, SILHOUETTE or IGNORE: `silhouette` of view 1, then `silhouette_2`, ..."""
+    return part if number == 1 else f"{part}_{number}"
+
+
+IMAGE_PARTS = tuple(of_view(part, n) for n in range(1, MAX_VIEWS + 1) for part in (SILHOUETTE, IGNORE))
+"""The names of all images that a request may have: parts over REST, file chunks over gRPC, blobs."""
 
 
 class Damaged(ValueError):
@@ -40,7 +54,6 @@ GLB_MAGIC, ZIP_MAGIC = b"glTF", b"PK\3\4"
 _OFF_MAGIC = re.compile(rb"\s*(ST|C|N|4|n)*OFF[\s\d#]")
 _OBJ_TEXT = re.compile(rb"^[ \t]*v[ \t]+[-+.\d]+[ \t]+[-+.\d]+[ \t]+[-+.\d]+", re.MULTILINE)
 _WITHOUT_MAGIC = (MeshFormat.OBJ, MeshFormat.STL, MeshFormat.OFF)  # comments may precede OFF's
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def format_of_name(name: str) -> MeshFormat | None:
@@ -83,25 +96,6 @@ def recognise_mesh(head: bytes, name: str | None = None, given: MeshFormat | Non
         f"expected a mesh file ({', '.join(MESH_SUFFIXES)}), got {file} with unknown content; if it is one, "
         "give its name the suffix"
     )
-
-
-def png_size(head: bytes) -> tuple[int, int]:
-    """Width and height in pixels of a PNG file, from its first bytes.
-
-    Raises Damaged for an empty or truncated file and for one of more than MAX_IMAGE_SIDE, else Unsupported.
-    """
-    if not head:
-        raise Damaged("expected a PNG file, got an empty file (0 bytes)")
-    if not head.startswith(_PNG_SIGNATURE):
-        raise Unsupported(
-            f"expected a silhouette as a PNG file, got {head[:8]!r} at its start; convert it to PNG"
-        )
-    if len(head) < 33 or head[12:16] != b"IHDR":
-        raise Damaged(f"truncated PNG file: no image header in its {len(head)} bytes")
-    width, height = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
-    if not (0 < width <= MAX_IMAGE_SIDE and 0 < height <= MAX_IMAGE_SIDE):
-        raise Damaged(f"expected an image of at most {MAX_IMAGE_SIDE} pixels a side, got {width}x{height}")
-    return width, height
 
 
 class ArtifactName(StrEnum):

@@ -9,7 +9,7 @@ Conventions: world right-handed, Y up; lengths in world units of the mesh; times
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, Self
@@ -21,7 +21,13 @@ from .cameras import CameraSpec as CameraSpec
 from .cameras import Intrinsics as Intrinsics
 from .cameras import LookAtCamera as LookAtCamera
 from .cameras import MatrixCamera as MatrixCamera
-from .formats import SILHOUETTE_THRESHOLD
+from .cameras import NetworkCamera as NetworkCamera
+from .cameras import PyTorch3DCamera as PyTorch3DCamera
+from .checks import Checks as Checks
+from .checks import Finding as Finding
+from .checks import Reading as Reading
+from .checks import Severity as Severity
+from .formats import MAX_VIEWS, SILHOUETTE_THRESHOLD
 from .formats import MeshFormat as MeshFormat
 from .open_enum import OpenEnum, of_newer_version
 from .strict import Input, Number, Positive
@@ -52,7 +58,12 @@ class Topology(StrEnum):
     FIXED = "fixed"  # all
 
 
-_KINDS: Mapping[str, type[StrEnum]] = {"preset": Preset, "symmetry": Symmetry, "topology": Topology}
+_KINDS: Mapping[str, type[StrEnum]] = {
+    "preset": Preset,
+    "symmetry": Symmetry,
+    "topology": Topology,
+    "checks": Checks,
+}
 
 
 class RefinementOptions(Input):
@@ -89,10 +100,23 @@ class RefinementOptions(Input):
         SILHOUETTE_THRESHOLD,
         gt=0.0,
         lt=1.0,
-        description="Pixels above this share of full scale are the object.",
+        description="An image with soft edges begins to be the object at this share of the way from its "
+        "smallest to its largest level; one with two levels needs none.",
     )
     timeout_s: Positive | None = Field(
         None, description="Longest running time before DEADLINE_EXCEEDED; unset: the server's limit."
+    )
+    checks: Checks = Field(
+        Checks.WARN,
+        description="Inputs that look wrong: refuse them (strict), only what cannot be meant (warn), none.",
+    )
+
+    ignore_grey: int | None = Field(
+        None,
+        ge=0,
+        le=65_535,
+        description="Pixels of this level, as the file stores it, are unknown: a grey level (0 to 255, 65535 "
+        "in 16 bits), the index in a palette, the luminance of a colour; alpha where alpha decides.",
     )
 
     @field_validator("symmetry_normal")
@@ -117,19 +141,51 @@ class RefinementOptions(Input):
         return self
 
 
+class View(Input):
+    """A further view of the same object, without its files."""
+
+    camera: CameraSpec
+
+
 class RefinementSpec(Input):
     """A request without its files: what the header of gRPC and the multipart fields of REST say."""
 
     camera: CameraSpec
     options: RefinementOptions = RefinementOptions()
     mesh_format: MeshFormat | None = None
+    views: Sequence[View] = Field(
+        (),
+        max_length=MAX_VIEWS - 1,
+        description="Further views, in the order of their files silhouette_2, silhouette_3, ...",
+    )
+
+    @model_validator(mode="after")
+    def _one_projection(self) -> Self:
+        cameras = [self.camera, *(view.camera for view in self.views)]
+        kinds = {getattr(camera, "projection", "perspective") for camera in cameras}
+        if len(kinds) > 1:
+            raise ValueError(f"expected cameras of one kind of projection, got {' and '.join(sorted(kinds))}")
+        return self
 
 
-class RefinementRequest(RefinementSpec):
+class ImageFiles(Input):
+    """The image files of one view, in base64."""
+
+    silhouette: Base64Bytes = Field(description="The silhouette image file.")
+    ignore: Base64Bytes | None = Field(
+        None, description="An image of the same size: where it shows an object, nothing is known."
+    )
+
+
+class ViewRequest(View, ImageFiles):
+    """A further view with its files."""
+
+
+class RefinementRequest(RefinementSpec, ImageFiles):
     """The JSON body of `POST /v1/refinements`: a spec and its files in base64."""
 
     mesh: Base64Bytes = Field(description="The coarse mesh file.")
-    silhouette: Base64Bytes = Field(description="The silhouette image file.")
+    views: Sequence[ViewRequest] = Field((), max_length=MAX_VIEWS - 1, description="Further views.")
 
 
 # ---- what a server sends ----
@@ -274,6 +330,7 @@ class Refinement(Output):
     queue_position: int | None = Field(None, description="Jobs ahead of this one; only while queued.")
     silhouette_iou: SilhouetteIou | None = None
     attempt: int = Field(0, description="How often a worker has started it.")
+    checks: list[Finding] = Field([], description="What looked wrong with the inputs.")
     urls: RefinementUrls | None = None
     outcome: Outcome | None = None
     warnings: list[str] = Field([], description="About the input and the result, in words.")
@@ -292,6 +349,22 @@ class Refinement(Output):
             if isinstance(value := known.get(name), str):
                 known[name] = of_newer_version(kind, value)
         return known
+
+
+class Validation(Output):
+    """What a refinement of the same request would find in its inputs. Nothing is refined or kept."""
+
+    accepted: bool = Field(description="Whether it would be refined: no check refuses it.")
+    silhouette_iou: float = Field(description="2D IoU of the coarse mesh with the silhouette.")
+    warnings: list[str] = Field([], description="All that is to be said, also about the mesh file.")
+    checks: list[Finding] = Field([], description="What looks wrong, as values.")
+
+    @classmethod
+    def of(cls, silhouette_iou: float, warnings: Iterable[str], checks: Iterable[Finding]) -> Self:
+        """What comes of these findings."""
+        found = list(checks)
+        accepted = all(finding.severity is not Severity.REFUSED for finding in found)
+        return cls(accepted=accepted, silhouette_iou=silhouette_iou, warnings=list(warnings), checks=found)
 
 
 class RefinementPage(Output):

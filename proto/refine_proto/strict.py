@@ -61,7 +61,12 @@ Positive = Annotated[float, Field(gt=0.0), BeforeValidator(finite)]
 
 # ---- what is wrong ----
 
-UNION_TAGS = ("look_at", "matrix")  # pydantic puts the chosen member into the location; it is no field
+UNION_TAGS = (
+    "look_at",
+    "matrix",
+    "pytorch3d",
+    "network",
+)  # pydantic puts the chosen member into the location; it is no field
 _QUOTED = re.compile(r"'([^']*)'")
 
 

@@ -24,11 +24,16 @@ class ServiceSettings(EnvironmentSettings):
     )
     requests_per_s: float = Field(50, gt=0, description="Calls of one API key to one service process.")
     max_mesh_bytes: int = Field(256 * _MIB, ge=1, description="Largest mesh file.")
-    max_silhouette_bytes: int = Field(64 * _MIB, ge=1, description="Largest silhouette file.")
+    max_silhouette_bytes: int = Field(
+        64 * _MIB, ge=1, description="Silhouettes and ignore masks of one request."
+    )
     max_json_bytes: int = Field(
         16 * _MIB, ge=1, description="Largest JSON body: base64 in it is held in memory."
     )
     upload_timeout_s: float = Field(300, gt=0, description="Longest time that one upload may take.")
+    answer_timeout_s: float = Field(
+        20, gt=0, description="How long a call waits for a worker slot that answers a question."
+    )
     grace_s: float = Field(20, gt=0, description="From SIGTERM until calls that still run are cut off.")
     grpc_reflection: bool = Field(False, description="Let gRPC clients list services and messages.")
 

@@ -24,6 +24,8 @@ INTRINSICS = {"fx": 50, "fy": 50, "cx": 100, "cy": 50}
 POSE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
 MATRIX = {"type": "matrix", "convention": "opengl", "camera_to_world": POSE, "intrinsics": INTRINSICS}
 
+PYTORCH3D = {"type": "pytorch3d", "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "T": [0, 0, 2], "fov_y_degrees": 60}
+
 
 def without(camera: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: value for name, value in camera.items() if name not in names}
@@ -36,8 +38,11 @@ def complaint(error: ValidationError) -> str:
 @pytest.mark.parametrize(
     ("camera", "message"),
     [
-        ({}, "/camera: expected 'type' to be one of 'look_at', 'matrix', got none"),
-        ({"type": "lookat"}, "one of 'look_at', 'matrix', got 'lookat'; did you mean 'look_at'?"),
+        ({}, "/camera: expected 'type' to be one of 'look_at', 'matrix', 'pytorch3d', 'network', got none"),
+        (
+            {"type": "lookat"},
+            "one of 'look_at', 'matrix', 'pytorch3d', 'network', got 'lookat'; did you mean 'look_at'?",
+        ),
         ([1, 2], "/camera: expected an object, got [1, 2]"),
         (
             LOOK_AT | {"azimut_degrees": 1},
@@ -57,6 +62,26 @@ def complaint(error: ValidationError) -> str:
         (LOOK_AT | {"distance": 10**400}, "expected a finite number below 1e+30, got 1000"),
         (LOOK_AT | {"distance": 10**9999}, "got an integer of thousands of digits"),
         (LOOK_AT | {"fov_y_degrees": 180}, "expected a number less than 180, got 180"),
+        (
+            LOOK_AT | {"fov_x_degrees": 60},
+            "exactly one of fov_y_degrees and fov_x_degrees, got fov_y_degrees and",
+        ),
+        (
+            MATRIX | {"intrinsics": [[50, 1, 3], [0, 50, 3], [0, 0, 1]]},
+            "/camera/intrinsics: expected a K of the",
+        ),
+        (PYTORCH3D | {"R": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}, "/camera/R: expected an orthonormal rotation"),
+        (PYTORCH3D | {"R": POSE}, "/camera/R: expected three rows of three numbers"),
+        (
+            PYTORCH3D | {"fov_x_degrees": 5},
+            "/camera: expected exactly one of intrinsics, fov_y_degrees and fov_x",
+        ),
+        ({"type": "network", "name": "trelis"}, "/camera/name: expected 'triposr', 'sf3d'"),
+        ({"type": "network", "name": "occnet"}, "expected distance, got none; for occnet 1.75 times"),
+        (
+            {"type": "network", "name": "pixel2mesh", "azimuth_degrees": 0},
+            "/camera: expected no azimuth_degrees: pixel2mesh's output is in its camera's own axes",
+        ),
         (MATRIX | {"convention": "OpenGL"}, "'pytorch3d', got 'OpenGL'; did you mean 'opengl'?"),
         (MATRIX | {"camera_to_word": POSE}, "did you mean 'camera_to_world'?"),
         (MATRIX | {"projection": "ortographic"}, "did you mean 'orthographic'?"),
@@ -67,11 +92,11 @@ def complaint(error: ValidationError) -> str:
         (MATRIX | {"world_to_camera": POSE}, "got world_to_camera and camera_to_world"),
         (
             MATRIX | {"fov_y_degrees": 40},
-            "expected exactly one of intrinsics and fov_y_degrees, got intrinsics and fov_y_degrees",
+            "exactly one of intrinsics, fov_y_degrees and fov_x_degrees, got intrinsics and fov_y_degrees",
         ),
         (
             without(MATRIX, "intrinsics") | {"fov_y_degrees": 60, "projection": "orthographic"},
-            "expected intrinsics for an orthographic camera, got fov_y_degrees",
+            "expected intrinsics for an orthographic camera, got a field of view",
         ),
         (
             MATRIX | {"intrinsics": without(INTRINSICS, "cy")},
@@ -82,10 +107,10 @@ def complaint(error: ValidationError) -> str:
             "/camera/intrinsics: expected an object, got [50, 50, 1, 1]",
         ),
         (
-            MATRIX | {"camera_to_world": POSE[:3]},
-            "/camera/camera_to_world: expected four rows of four numbers, got [[1, 0",
+            MATRIX | {"camera_to_world": POSE[:2]},
+            "/camera/camera_to_world: expected three or four rows of four numbers, got [[1, 0",
         ),
-        (MATRIX | {"camera_to_world": 3}, "expected four rows of four numbers, got 3"),
+        (MATRIX | {"camera_to_world": 3}, "expected three or four rows of four numbers, got 3"),
         (
             MATRIX | {"camera_to_world": np.array(POSE).T.tolist()},
             "got [0.0, 0.0, 2.0, 1.0] (it is column major: transpose it)",

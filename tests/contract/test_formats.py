@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import struct
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image, ImageOps
 
 from refine_engine.errors import InputError
 from refine_engine.files.mesh_file import read_mesh
-from refine_engine.files.png import read_silhouette
+from refine_engine.files.silhouette import read_silhouette
 from refine_proto.errors import InvalidInput
 from refine_proto.formats import (
     ARTIFACTS,
-    MAX_IMAGE_SIDE,
     Damaged,
     MeshFormat,
     Unsupported,
     format_of_name,
-    png_size,
     recognise_mesh,
 )
+from refine_proto.images import MAX_IMAGE_SIDE, ImageFormat, read_image_header
 from refine_service.edge import file_checks
 
 
@@ -62,7 +65,13 @@ BAD_MESHES = [
 ]
 BAD_IMAGES = [
     (b"", "SILHOUETTE_INVALID", "empty file"),
-    (b"\xff\xd8\xff\xe0 JFIF", "FORMAT_UNSUPPORTED", "convert it to PNG"),
+    (b"GIF89a...", "FORMAT_UNSUPPORTED", "got a GIF file; convert it to PNG"),
+    (b"\0\0\0\x18ftypheic", "FORMAT_UNSUPPORTED", "got a HEIF or AVIF file"),
+    (b"solid", "FORMAT_UNSUPPORTED", "got b'solid' at its start"),
+    (b"\xff\xd8\xff\xe0 JFIF", "SILHOUETTE_INVALID", "truncated JPEG"),
+    (b"II*\0\xff\0\0\0", "SILHOUETTE_INVALID", "truncated TIFF"),
+    (b"RIFF\0\0\0\0WEBPVP8 ", "SILHOUETTE_INVALID", "truncated WEBP"),
+    (b"BM", "SILHOUETTE_INVALID", "truncated BMP"),
     (png_header(4, 4)[:20], "SILHOUETTE_INVALID", "truncated"),
     (png_header(0, 4), "SILHOUETTE_INVALID", "got 0x4"),
     (png_header(4, MAX_IMAGE_SIDE + 1), "SILHOUETTE_INVALID", "at most 4096 pixels a side, got 4x4097"),
@@ -83,14 +92,43 @@ def test_edge_and_engine_refuse_a_mesh_alike(head: bytes, name: str, reason: str
 @pytest.mark.parametrize(("head", "reason", "says"), BAD_IMAGES)
 def test_edge_and_engine_refuse_a_silhouette_alike(head: bytes, reason: str, says: str) -> None:
     with pytest.raises(InvalidInput, match=says) as at_the_edge:
-        file_checks.silhouette_size(head)
+        file_checks.image_size(io.BytesIO(head), "silhouette")
     with pytest.raises(InputError, match=says) as in_the_engine:
         read_silhouette(head)
     assert at_the_edge.value.reason == in_the_engine.value.reason == reason
 
 
-def test_the_size_of_a_png() -> None:
-    assert png_size(png_header(MAX_IMAGE_SIDE, 1)) == (4096, 1)
+def picture(kind: str, orientation: int, size: tuple[int, int] = (30, 20)) -> bytes:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    stream = io.BytesIO()
+    Image.new("RGB", size, (1, 2, 3)).save(stream, kind, exif=exif)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", list(ImageFormat))
+def test_the_header_of_an_image_is_what_pillow_decodes(kind: ImageFormat, orientation: int) -> None:
+    data = picture(kind, orientation)
+    header = read_image_header(io.BytesIO(data))
+    with Image.open(io.BytesIO(data)) as image:
+        assert header.format == image.format
+        assert header.orientation == image.getexif().get(0x0112, 1)
+        assert header.size == ImageOps.exif_transpose(image).size
+
+
+@given(data=st.data(), kind=st.sampled_from(ImageFormat), orientation=st.integers(1, 8))
+def test_a_damaged_header_is_refused_or_read(
+    data: st.DataObject, kind: ImageFormat, orientation: int
+) -> None:
+    content = bytearray(picture(kind, orientation))
+    for _ in range(data.draw(st.integers(0, 3))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        size = read_image_header(io.BytesIO(bytes(content[: data.draw(st.integers(0, len(content)))]))).size
+    except (Damaged, Unsupported):
+        return
+    assert 0 < min(size) <= max(size) <= MAX_IMAGE_SIDE
 
 
 def test_artifacts_have_the_media_types_of_their_suffixes() -> None:

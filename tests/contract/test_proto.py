@@ -12,6 +12,7 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from refine_proto import models
+from refine_proto.checks import Code
 from refine_proto.convert import tagged_union, to_message, to_model
 from refine_proto.errors import from_validation
 from refine_proto.strict import Input
@@ -57,6 +58,8 @@ def _tags() -> list[Any]:
     return [
         models.LookAtCamera.model_fields["type"].annotation,
         models.MatrixCamera.model_fields["type"].annotation,
+        models.PyTorch3DCamera.model_fields["type"].annotation,
+        models.NetworkCamera.model_fields["type"].annotation,
     ]
 
 
@@ -83,13 +86,36 @@ def _resolve(schema: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
 
 def test_every_model_has_a_message() -> None:
     bases = {Input, models.Output}
-    without = {models.RefinementRequest, models.Judgement}  # of REST only; of the worker
+    of_rest = {models.RefinementRequest, models.ViewRequest, models.ImageFiles}
+    without = of_rest | {models.Judgement}  # which is between worker and edge
     found = {
         v
         for v in vars(models).values()
         if isinstance(v, type) and issubclass(v, BaseModel) and v is not BaseModel
     }
     assert {m.__name__ for m in found - bases - without} == {m.name for m in messages()} - {"CameraSpec"}
+
+
+def a_finding() -> models.Finding:
+    pose = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 2), (0, 0, 0, 1))
+    camera = models.MatrixCamera(convention="opencv", world_to_camera=pose, fov_y_degrees=40)
+    return models.Finding(
+        code=Code.CAMERA_MISREAD,
+        severity=models.Severity.WARNING,
+        message="m",
+        reading=models.Reading(name="azimuth negated", silhouette_iou=0.9, camera=camera),
+    )
+
+
+def test_a_finding_of_a_newer_server_is_read() -> None:
+    """With a code, a severity and fields that are not known here."""
+    sent = a_finding().model_dump(mode="json", exclude_none=True)
+    sent |= {"code": "LENS_DIRTY", "severity": "ruinous", "since": 3}
+    found = models.Finding.model_validate(sent)
+    assert (found.code, found.severity) == ("LENS_DIRTY", "ruinous")
+    assert found.reading == a_finding().reading
+    sent["reading"]["camera"] = {"type": "fisheye"}
+    assert models.Finding.model_validate(sent).reading is None
 
 
 def a_refinement() -> models.Refinement:
@@ -118,6 +144,7 @@ def a_refinement() -> models.Refinement:
         queue_position=0,
         silhouette_iou=models.SilhouetteIou(before=0.0, after=0.9),
         attempt=1,
+        checks=[a_finding()],
         urls=models.RefinementUrls(refinement="/a", events="/b", cancel="/c"),
     )
 

@@ -18,7 +18,7 @@ from serve_process import Served
 from refine_client import AsyncRefineClient, RefineClient
 from refine_engine import read_camera, read_inputs, read_mesh
 from refine_engine.cameras.seen import silhouette_iou
-from refine_proto.models import Event, EventType, Refinement, State
+from refine_proto.models import Event, EventType, Refinement, State, Validation
 
 FACES = ("REST, sync", "REST, async", "gRPC, sync", "gRPC, async")
 ARTIFACTS = {
@@ -67,6 +67,31 @@ def outcomes(served: Served, tmp_path_factory: pytest.TempPathFactory) -> Mappin
         "gRPC, sync": run(grpc, folders["gRPC, sync"]),
         "gRPC, async": asyncio.run(run_async(grpc, folders["gRPC, async"])),
     }
+
+
+def test_every_face_says_what_looks_wrong(served: Served) -> None:
+    """As the engine does here; the camera that is offered instead is the right one."""
+    mirrored = CAMERA | {"azimuth_degrees": -CAMERA["azimuth_degrees"]}
+    wrong = (MESH, SILHOUETTE, mirrored)
+    inputs = read_inputs(MESH.read_bytes(), MESH.name, SILHOUETTE.read_bytes(), read_camera(mirrored))
+    expected = Validation.of(
+        silhouette_iou(inputs.mesh_file.mesh, inputs.views[0]), inputs.warnings, inputs.findings
+    )
+    assert [finding.code for finding in expected.checks] == ["CAMERA_MISREAD"]
+    for server in (served.url, f"grpc://{served.grpc_address}"):
+        with RefineClient(server) as client:
+            validation = client.validate(*wrong)
+            assert validation == expected
+            assert not client.validate(*wrong, {"checks": "strict"}).accepted
+            reading = validation.checks[0].reading
+            assert reading is not None
+            assert client.validate(MESH, SILHOUETTE, reading.camera).checks == []
+
+        async def ask(server: str = server) -> Validation:
+            async with AsyncRefineClient(server) as client:
+                return await client.validate(*wrong)
+
+        assert asyncio.run(ask()) == expected
 
 
 def settled(refinement: Refinement) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def inputs(tmp_path: Path) -> Path:
     (tmp_path / "box.obj").write_text(BOX)
     (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
     pixels = np.zeros((64, 64), np.uint8)
-    pixels[12:52, 2:62] = 255
+    pixels[20:44, 14:50] = 255
     Image.fromarray(pixels).save(tmp_path / "silhouette.png")
     return tmp_path
 
@@ -80,7 +80,7 @@ def test_all_artifacts_and_nothing_else(inputs: Path, capsys: pytest.CaptureFixt
     shown = capsys.readouterr()
     assert sorted(shown.out.splitlines()[1:]) == [str(inputs / "out" / name) for name in ARTIFACTS]
     assert re.fullmatch(
-        r"box\.obj succeeded, 2D IoU 0\.\d{3} -> 0\.\d{3} in \d+\.\d s", shown.out.splitlines()[0]
+        r"box\.obj succeeded, 2D IoU 0\.\d{3} -> [01]\.\d{3} in \d+\.\d s", shown.out.splitlines()[0]
     )
     assert shown.err.splitlines()[0] == "running"
     assert "iteration 3/3" in shown.err
@@ -305,3 +305,36 @@ def test_an_interrupt_leaves_nothing(inputs: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(KeyboardInterrupt):
         run.run_command(arguments(inputs))
     assert files(inputs) == before
+
+
+def test_several_views_and_unknown_pixels(inputs: Path, tmp_path: Path) -> None:
+    """The same silhouette twice, once as JPEG; the right half of the second is unknown."""
+    with Image.open(inputs / "silhouette.png") as image:
+        image.save(tmp_path / "second.jpg", quality=95)
+    pixels = np.zeros((64, 64), np.uint8)
+    pixels[:, 32:] = 255
+    Image.fromarray(pixels).save(tmp_path / "hand.png")
+    camera = str(inputs / "camera.json")
+    views = ["--view", str(tmp_path / "second.jpg"), camera, str(tmp_path / "hand.png")]
+    arguments = [str(inputs / name) for name in ("box.obj", "silhouette.png")]
+    out = tmp_path / "out"
+    assert (
+        run.run_command(
+            [*arguments, "--camera", camera, *views, "--iterations", "2", "-o", str(out), "--threads", "1"]
+        )
+        == 0
+    )
+    report = json.loads((out / "report.json").read_text())
+    assert [view["known"] for view in report["views"]] == [1.0, 0.5]
+    assert len(report["views"]) == 2
+
+
+def test_a_bad_camera_of_a_view_is_told_where_it_is(
+    inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.json").write_text(json.dumps({"type": "look_at"}))
+    files = [str(inputs / name) for name in ("box.obj", "silhouette.png")]
+    view = ["--view", files[1], str(tmp_path / "bad.json")]
+    camera = ["--camera", str(inputs / "camera.json")]
+    assert run.run_command([*files, *camera, *view, "-o", str(tmp_path / "out")]) == 2
+    assert "CAMERA_INVALID: /views/0/camera/azimuth_degrees: expected" in capsys.readouterr().err

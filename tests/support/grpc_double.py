@@ -25,18 +25,27 @@ class _Servicer(RefinementsServicer):
         self._script = script
 
     def CreateRefinement(self, requests: Iterator[Any], context: grpc.ServicerContext) -> Any:
+        key, upload = self._upload(requests)
+        created = self._run(context, "create", lambda: self._script.create(key, upload), key)
+        return to_message(created, refine_pb2.Refinement)
+
+    def ValidateRefinement(self, requests: Iterator[Any], context: grpc.ServicerContext) -> Any:
+        _, upload = self._upload(requests)
+        found = self._run(context, "validate", lambda: self._script.validation("", upload))
+        return to_message(found, refine_pb2.Validation)
+
+    def _upload(self, requests: Iterator[Any]) -> tuple[str, dict[str, Any]]:
         header = next(requests).header
-        upload: dict[str, Any] = {"mesh": bytearray(), "silhouette": bytearray(), "chunks": []}
+        upload: dict[str, Any] = {"chunks": []}
         for request in requests:
             part = request.WhichOneof("part")
             chunk = getattr(request, part)
-            upload[part.removesuffix("_chunk")] += chunk
-            upload["chunks"].append(len(chunk))
+            name, data = (chunk.part, chunk.data) if part == "file_chunk" else (part[: -len("_chunk")], chunk)
+            upload.setdefault(name, bytearray()).extend(data)
+            upload["chunks"].append(len(data))
         upload |= to_model(header.spec, RefinementSpec).model_dump(mode="json", exclude_none=True)
         upload["announced"] = (header.mesh_bytes, header.silhouette_bytes)
-        key = header.request_id
-        created = self._run(context, "create", lambda: self._script.create(key, upload), key)
-        return to_message(created, refine_pb2.Refinement)
+        return header.request_id, upload
 
     def GetRefinement(self, request: Any, context: grpc.ServicerContext) -> Any:
         found = self._run(context, "get", lambda: self._script.get(request.id))

@@ -37,6 +37,8 @@ class _Handler(BaseHTTPRequestHandler):
         key = self.headers.get("Idempotency-Key", "")
         if self.path.endswith("/cancel"):
             self._answer("cancel", self._cancel)
+        elif self.path == "/v1/refinements:validate":
+            self._answer("validate", lambda: self.script.validation("", self._parts(body)))
         else:
             self._answer("create", lambda: self.script.create(key, self._parts(body)), 202, key)
 
@@ -107,7 +109,9 @@ class _Handler(BaseHTTPRequestHandler):
             name = head.partition(b'name="')[2].partition(b'"')[0].decode()
             content = content[: -len(b"\r\n")]
             found[name] = content if b"filename=" in head else content.decode()
-        return found | {name: json.loads(found[name]) for name in ("camera", "options")}
+        return found | {
+            name: json.loads(found[name]) for name in ("camera", "options", "views") if name in found
+        }
 
     def log_message(self, *arguments: Any) -> None:
         return None

@@ -15,17 +15,21 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal
 
+from refine_proto.checks import Code
 from refine_proto.errors import Conflict, NotFound, RefineError
 from refine_proto.models import (
     Artifact,
     Event,
     EventType,
+    Finding,
     Progress,
     Refinement,
     RefinementOptions,
     RefinementPage,
+    Severity,
     SilhouetteIou,
     State,
+    Validation,
 )
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
@@ -63,6 +67,11 @@ class Script:
     newer: bool = False
     """Whether every watch begins with an event of a type and a state that only a newer version knows."""
 
+    checks: list[Finding] = field(default_factory=list)
+    """What was found in the inputs of the refinement."""
+    severity: Severity = Severity.WARNING
+    """Of what a validation finds."""
+
     drop: Callable[[], None] = lambda: None
     """Set by the fixture: cuts all connections."""
     calls: list[Call] = field(default_factory=list)
@@ -86,6 +95,11 @@ class Script:
         self.uploads[key] = upload
         return self.refinement(State.QUEUED, upload.get("options", {}))
 
+    def validation(self, key: str, upload: dict[str, Any]) -> Validation:
+        self.uploads[key] = upload
+        finding = Finding(code=Code.LOW_OVERLAP, severity=self.severity, message="expected more")
+        return Validation.of(0.3, ["2 of 9 triangles", "expected more"], [finding])
+
     def refinement(self, state: State | None = None, options: Any = None) -> Refinement:
         state = state or (State.CANCELLED if self.cancelled.is_set() else self.ends_in)
         done = state is State.SUCCEEDED
@@ -106,6 +120,7 @@ class Script:
             expires_at=NOW,
             artifacts=artifacts if done else [],
             silhouette_iou=SilhouetteIou(before=0.5, after=0.9) if done else None,
+            checks=self.checks if done else [],
             error=self.error.problem(request_id="req-job") if self.error and state.terminal else None,
             queue_position=3 if state is State.QUEUED else None,
         )

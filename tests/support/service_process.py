@@ -9,8 +9,9 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from redis import Redis
 from refine_client import RefineClient, RetryPolicy
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_jobs.record import Job
+from refine_jobs.record import Job, Task
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState, SlotStatus
 from refine_jobs.worker_store import WorkerStore
@@ -157,6 +158,29 @@ class Hand:
         job = self.start(refinement_id)
         self.finish(job, contents)
         return job
+
+    @contextmanager
+    def answering(self, act: Callable[[Job], object]) -> Iterator[list[Job]]:
+        """Inside, a thread takes every question in front of the queue and does `act`; the jobs it took."""
+        taken: list[Job] = []
+        over = threading.Event()
+        queue = f"rq:queue:{keys.queue('default')}"
+
+        def work() -> None:
+            while not over.wait(0.02):
+                front = str(self.redis.lindex(queue, 0) or "").rpartition("-")[0]
+                if self.redis.hget(keys.JOB + front, "task") == Task.VALIDATE:
+                    self.redis.lpop(queue)
+                    taken.append(self.start(front))
+                    act(taken[-1])
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield taken
+        finally:
+            over.set()
+            thread.join()
 
     def expire(self, refinement_id: str) -> None:
         """Let its lifetime be over."""

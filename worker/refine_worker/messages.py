@@ -5,7 +5,7 @@ slot                      engine
 Run   ->
       <- PhaseStarted, Progressed ...
 Cancel ->                         at any time while it runs
-      <- Done or Failed           once for each Run
+      <- Done, Answered or Failed once for each Run
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from refine_proto.models import Artifact, Judgement, Progress
+from refine_jobs.record import Task
+from refine_proto.models import Artifact, Finding, Judgement, Progress, Validation
 
 MAX_BYTES = 2**20  # of one message; files go through the blob store
 
@@ -36,12 +37,14 @@ class _Message(BaseModel):
 
 
 class Run(_Message):
-    """Refine the files of a job. `spec` is the record's RefinementSpec: the engine process reads it again."""
+    """Do the task with the files of a job. `spec` is the record's RefinementSpec, to be read again."""
 
     type: Literal["run"] = "run"
     job_id: str
     attempt: int
+    task: Task = Task.REFINE
     spec: Mapping[str, Any]
+    more_files: tuple[str, ...] = ()  # beside the mesh and the silhouette: ignore, silhouette_2, ...
     log_fields: dict[str, str] = {}
 
 
@@ -74,6 +77,14 @@ class Done(_Message):
     type: Literal["done"] = "done"
     artifacts: tuple[Artifact, ...]
     judgement: Judgement
+    checks: tuple[Finding, ...] = ()
+
+
+class Answered(_Message):
+    """The answer to a question."""
+
+    type: Literal["answered"] = "answered"
+    answer: Validation
 
 
 class Failed(_Message):
@@ -86,7 +97,7 @@ class Failed(_Message):
 
 
 ToEngine = Run | Cancel
-FromEngine = Ready | PhaseStarted | Progressed | Done | Failed
+FromEngine = Ready | PhaseStarted | Progressed | Done | Answered | Failed
 _TO_ENGINE: TypeAdapter[ToEngine] = TypeAdapter(Annotated[ToEngine, Field(discriminator="type")])
 _FROM_ENGINE: TypeAdapter[FromEngine] = TypeAdapter(Annotated[FromEngine, Field(discriminator="type")])
 

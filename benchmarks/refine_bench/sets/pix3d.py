@@ -23,7 +23,7 @@ from pathlib import Path, PurePosixPath
 
 import torch
 
-from refine_engine.files.png import read_silhouette
+from refine_engine.files.silhouette import read_silhouette
 from refine_engine.values import Camera, View
 
 from ..cases import (
@@ -92,7 +92,7 @@ class Pix3D:
 
     def load(self, record: Mapping[str, object]) -> Scene:
         """Raises CaseUnavailable naming the file that is missing or the field that is wrong."""
-        silhouette = read_silhouette(read_bytes(self.root / str(record["mask"])))
+        silhouette = read_silhouette(read_bytes(self.root / str(record["mask"]))).coverage
         height, width = silhouette.shape
         if [width, height] != record["img_size"]:
             raise CaseUnavailable(f"expected a mask of {record['img_size']} pixels, got {[width, height]}")

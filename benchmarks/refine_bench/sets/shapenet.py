@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from refine_engine.files.png import read_silhouette
+from refine_engine.files.silhouette import read_silhouette
 from refine_engine.values import Camera, View
 
 from ..asymmetry import ASYMMETRIC_FROM, image_asymmetry
@@ -117,7 +117,7 @@ class ShapeNet:
         """Raises CaseUnavailable naming the file that is missing, CaseSkipped for a symmetric model."""
         folder = self.renderings / synset / model / "rendering"
         image = f"{self.view:02}"
-        silhouette = read_silhouette(read_bytes(folder / f"{image}.png"))
+        silhouette = read_silhouette(read_bytes(folder / f"{image}.png")).coverage
         height, width = silhouette.shape
         camera = camera_of_line(_line(folder / METADATA, self.view), width, height)
         ground_truth = read_mesh_file(self.models / synset / model / "model.obj")

@@ -39,14 +39,17 @@ def connect(arguments: argparse.Namespace) -> RefineClient:
 
 
 def command(
-    run: Callable[[Sequence[str]], None],
+    run: Callable[[Sequence[str]], int | None],
 ) -> Callable[[Sequence[str]], int]:
-    """Make an exit code of how `run` ends; an error is one line `error: REASON: detail (request ID)`."""
+    """Make an exit code of how `run` ends, if it gives none.
+
+    An error is one line `error: REASON: detail (request ID)`.
+    """
 
     @wraps(run)
     def with_exit_code(argv: Sequence[str]) -> int:
         try:
-            run(argv)
+            return run(argv) or 0
         except RefineError as error:
             request = f" (request {error.request_id})" if error.request_id else ""
             code = BAD_INPUT if isinstance(error, (InvalidInput, Refused)) else FAILED
@@ -56,6 +59,5 @@ def command(
         except OSError as error:
             name = f"{error.filename}: " if error.filename else ""
             return fail(f"INPUT_INVALID: {name}{error.strerror or error}", BAD_INPUT)
-        return 0
 
     return with_exit_code

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from refine_proto.cameras import CAMERA_SPEC, CameraSpec
+from refine_proto.camera_files import read_camera_file
 from refine_proto.commands.ending import Parser
-from refine_proto.commands.options import add_options, read_options
-from refine_proto.errors import from_validation
+from refine_proto.commands.options import add_options, add_views, read_options, read_views
 from refine_proto.models import MeshFormat
 
+from ..upload import View
 from .server_command import command, connect, make_parser
 from .watch import see_through
 
@@ -23,7 +22,7 @@ EXAMPLE = """\
 
 camera.json
   {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9, "fov_y_degrees": 60}
-  or a matrix: refine docs conventions
+  or another form, transforms.json#FRAME or COLMAP_FOLDER#IMAGE: refine docs conventions
 """
 
 
@@ -31,16 +30,18 @@ camera.json
 def submit_command(argv: Sequence[str]) -> None:
     """Run `refine submit`."""
     arguments = submit_parser().parse_args(argv)
-    camera = _read_camera(arguments.camera)
+    first, *further = read_view_files(arguments)
     options = read_options(arguments)
     if arguments.output is not None:
         arguments.output.mkdir(parents=True, exist_ok=True)  # before the job, not after it
     with connect(arguments) as client:
         refinement = client.submit(
             arguments.mesh,
-            arguments.silhouette,
-            camera,
+            first.silhouette,
+            first.camera,
             options,
+            ignore=first.ignore,
+            views=further,
             mesh_format=arguments.mesh_format,
             idempotency_key=arguments.idempotency_key,
         )
@@ -57,11 +58,12 @@ def submit_command(argv: Sequence[str]) -> None:
             raise
 
 
-def _read_camera(path: Path) -> CameraSpec:
-    try:
-        return CAMERA_SPEC.validate_json(path.read_bytes())
-    except ValidationError as error:
-        raise from_validation(error.errors(), under=("camera",)) from None
+def read_view_files(arguments: argparse.Namespace) -> list[View]:
+    """The views that the arguments of `add_files` name; CameraInvalid."""
+    return [
+        View(paths.silhouette, read_camera_file(paths.camera, paths.place), paths.ignore)
+        for paths in read_views(arguments)
+    ]
 
 
 def submit_parser() -> Parser:
@@ -69,14 +71,9 @@ def submit_parser() -> Parser:
     parser = make_parser(
         "submit", "Send a mesh, its silhouette and the camera to a server and print the id.", EXAMPLE
     )
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL, OFF, or a ZIP")
-    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="see below")
+    add_files(parser)
     parser.add_argument("--wait", action="store_true", help="follow it to its end, with a progress bar")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="wait, then download all artifacts")
-    parser.add_argument(
-        "--mesh-format", choices=list(MeshFormat), metavar="FORMAT", help="(the suffix of MESH)"
-    )
     parser.add_argument(
         "--idempotency-key", metavar="KEY", help="the same key and content give the same refinement"
     )
@@ -84,3 +81,12 @@ def submit_parser() -> Parser:
         "--timeout-s", type=float, metavar="S", help="longest running time (the server's)"
     )
     return parser
+
+
+def add_files(parser: Parser) -> None:
+    """The arguments that name what is sent."""
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL, OFF, or a ZIP")
+    add_views(parser)
+    parser.add_argument(
+        "--mesh-format", choices=list(MeshFormat), metavar="FORMAT", help="(the suffix of MESH)"
+    )

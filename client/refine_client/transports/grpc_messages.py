@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 from refine_proto import errors
 from refine_proto.convert import to_message, to_model
 from refine_proto.errors import RefineError, ServerError
+from refine_proto.formats import MESH, SILHOUETTE
 from refine_proto.models import Artifact, Event, EventType
 from refine_proto.status import STATUS_KEY, from_status
 from refine_proto.v1 import refine_pb2
@@ -46,23 +47,25 @@ def metadata(connection: Connection) -> tuple[tuple[str, str], ...]:
     return (*own, ("authorization", f"Bearer {connection.api_key}")) if connection.api_key else own
 
 
-def create(
-    upload: Upload, mesh: OpenFile, silhouette: OpenFile
-) -> Iterator[refine_pb2.CreateRefinementRequest]:
-    """The header, then both files in chunks, read as they are sent."""
+def create(upload: Upload, files: Mapping[str, OpenFile]) -> Iterator[refine_pb2.CreateRefinementRequest]:
+    """The header, then all files in chunks, read as they are sent."""
     request = refine_pb2.CreateRefinementRequest
     yield request(
         header=request.Header(
             request_id=upload.idempotency_key,
             spec=to_message(upload.spec, refine_pb2.RefinementSpec),
-            mesh_bytes=mesh.size_bytes,
-            silhouette_bytes=silhouette.size_bytes,
+            mesh_bytes=files[MESH].size_bytes,
+            silhouette_bytes=files[SILHOUETTE].size_bytes,
         )
     )
-    for chunk in mesh.chunks():
-        yield request(mesh_chunk=chunk)
-    for chunk in silhouette.chunks():
-        yield request(silhouette_chunk=chunk)
+    for name, file in files.items():
+        for chunk in file.chunks():
+            if name == MESH:
+                yield request(mesh_chunk=chunk)
+            elif name == SILHOUETTE:
+                yield request(silhouette_chunk=chunk)
+            else:
+                yield request(file_chunk=refine_pb2.FileChunk(part=name, data=chunk))
 
 
 def transfer_s(connection: Connection, size_bytes: int) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import grpc
 from google.protobuf.message import Message
 
-from refine_proto.models import Artifact, Event, Refinement, RefinementPage
+from refine_proto.models import Artifact, Event, Refinement, RefinementPage, Validation
 from refine_proto.v1 import refine_pb2
 from refine_proto.v1.refine_pb2_grpc import RefinementsStub
 
@@ -32,11 +32,21 @@ class GrpcTransport:
 
     def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            deadline_s = grpc_messages.transfer_s(self._connection, sum(file.size_bytes for file in files))
-            message = self._call(
-                self._stub.CreateRefinement, grpc_messages.create(upload, *files), deadline_s
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
             )
+            message = self._call(self._stub.CreateRefinement, grpc_messages.create(upload, files), deadline_s)
         return grpc_messages.parse(message, Refinement)
+
+    def validate(self, upload: Upload) -> Validation:
+        with upload.opened() as files:
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
+            message = self._call(
+                self._stub.ValidateRefinement, grpc_messages.create(upload, files), deadline_s
+            )
+        return grpc_messages.parse(message, Validation)
 
     def get(self, refinement_id: str) -> Refinement:
         request = refine_pb2.GetRefinementRequest(id=refinement_id)
@@ -114,11 +124,23 @@ class AsyncGrpcTransport:
 
     async def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            deadline_s = grpc_messages.transfer_s(self._connection, sum(file.size_bytes for file in files))
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
             message = await self._call(
-                self._stub.CreateRefinement, grpc_messages.create(upload, *files), deadline_s
+                self._stub.CreateRefinement, grpc_messages.create(upload, files), deadline_s
             )
         return grpc_messages.parse(message, Refinement)
+
+    async def validate(self, upload: Upload) -> Validation:
+        with upload.opened() as files:
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
+            message = await self._call(
+                self._stub.ValidateRefinement, grpc_messages.create(upload, files), deadline_s
+            )
+        return grpc_messages.parse(message, Validation)
 
     async def get(self, refinement_id: str) -> Refinement:
         request = refine_pb2.GetRefinementRequest(id=refinement_id)

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import httpx
 
-from refine_proto.models import Artifact, Event, EventType, Refinement, RefinementPage
+from refine_proto.models import Artifact, Event, EventType, Refinement, RefinementPage, Validation
 
 from ..address import Connection
 from ..errors import ConnectionLost
@@ -27,8 +27,13 @@ class RestTransport:
 
     def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
-            response = self._send(rest_messages.create(upload), files=rest_messages.parts(upload, *files))
+            response = self._send(rest_messages.create(upload), files=rest_messages.parts(upload, files))
         return rest_messages.parse(response, Refinement)
+
+    def validate(self, upload: Upload) -> Validation:
+        with upload.opened() as files:
+            response = self._send(rest_messages.validate(), files=rest_messages.parts(upload, files))
+        return rest_messages.parse(response, Validation)
 
     def get(self, refinement_id: str) -> Refinement:
         return rest_messages.parse(self._send(rest_messages.get(refinement_id)), Refinement)
@@ -101,9 +106,14 @@ class AsyncRestTransport:
     async def create(self, upload: Upload) -> Refinement:
         with upload.opened() as files:
             response = await self._send(
-                rest_messages.create(upload), files=rest_messages.parts(upload, *files)
+                rest_messages.create(upload), files=rest_messages.parts(upload, files)
             )
         return rest_messages.parse(response, Refinement)
+
+    async def validate(self, upload: Upload) -> Validation:
+        with upload.opened() as files:
+            response = await self._send(rest_messages.validate(), files=rest_messages.parts(upload, files))
+        return rest_messages.parse(response, Validation)
 
     async def get(self, refinement_id: str) -> Refinement:
         return rest_messages.parse(await self._send(rest_messages.get(refinement_id)), Refinement)

@@ -70,17 +70,19 @@ def create(upload: Upload) -> Request:
     return Request("POST", "/v1/refinements", headers={"Idempotency-Key": upload.idempotency_key})
 
 
-def parts(upload: Upload, mesh: OpenFile, silhouette: OpenFile) -> list[Part]:
+def validate() -> Request:
+    return Request("POST", "/v1/refinements:validate")
+
+
+def parts(upload: Upload, files: Mapping[str, OpenFile]) -> list[Part]:
     """The multipart body: what is small first, so that a server can refuse before the files come."""
     spec = upload.spec.model_dump(mode="json", exclude_none=True)
-    fields = [(name, (None, json.dumps(spec[name]), "application/json")) for name in ("camera", "options")]
+    names = ("camera", "options", "views") if upload.spec.views else ("camera", "options")
+    fields = [(name, (None, json.dumps(spec[name]), "application/json")) for name in names]
     if upload.spec.mesh_format is not None:
         fields.append(("mesh_format", (None, str(upload.spec.mesh_format), "text/plain")))
-    return [
-        *fields,
-        ("mesh", (mesh.name, mesh.stream, "application/octet-stream")),
-        ("silhouette", (silhouette.name, silhouette.stream, "application/octet-stream")),
-    ]
+    sent = [(name, (file.name, file.stream, "application/octet-stream")) for name, file in files.items()]
+    return [*fields, *sent]
 
 
 def get(refinement_id: str) -> Request:

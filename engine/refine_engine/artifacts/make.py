@@ -15,13 +15,14 @@ import torch
 
 from refine_proto.formats import ArtifactName
 
+from ..cameras.seen import silhouette_iou
 from ..contract import judgement_of
 from ..files.mesh_file import MeshFile
 from ..kernels import interpolate, rasterize
 from ..method.config import RefineConfig
 from ..method.views import Frame, SymmetryViews
 from ..request import Inputs
-from ..values import Mesh, Result
+from ..values import Mesh, Result, View
 from .pictures import draw_confidence, draw_preview, drawn_camera, drawn_silhouette
 
 _VERSIONED = ("refine-mesh", "torch", "numpy", "scipy", "numba", "pillow")
@@ -35,20 +36,20 @@ def make_artifacts(inputs: Inputs, result: Result, config: RefineConfig) -> dict
     confidence.png    the confidence as the first input camera sees it
     confidence.npz    the confidence per vertex and as maps of all symmetry views, see `confidence_arrays`,
                       and what was refined, see `input_arrays`
-    preview.png       before and after from that camera, for people
+    preview.png       before and after from that camera, and contours in all views, for people
     report.json       2D IoU, loss curve, effective configuration, seconds, device, versions, warnings
     """
-    mesh_file, view = inputs.mesh_file, inputs.views[0]
+    mesh_file, views = inputs.mesh_file, inputs.views
     vertices, confidence = result.mesh.vertices, result.confidence
     arrays = io.BytesIO()
     np.savez_compressed(arrays, **confidence_arrays(mesh_file, result, config), **input_arrays(inputs))
-    report = json.dumps(make_report(mesh_file, result, config), indent=2, allow_nan=False)
+    report = json.dumps(make_report(inputs, result, config), indent=2, allow_nan=False)
     return {
         ArtifactName.REFINED: mesh_file.with_vertices(vertices, confidence, result.kept_faces),
         ArtifactName.CONFIDENCE_MESH: mesh_file.confidence_glb(vertices, confidence, result.mesh.faces),
-        ArtifactName.CONFIDENCE_IMAGE: draw_confidence(view, result.mesh, confidence),
+        ArtifactName.CONFIDENCE_IMAGE: draw_confidence(views[0], result.mesh, confidence),
         ArtifactName.CONFIDENCE_ARRAYS: arrays.getvalue(),
-        ArtifactName.PREVIEW: draw_preview(view, mesh_file.mesh, result.mesh, confidence),
+        ArtifactName.PREVIEW: draw_preview(views, mesh_file.mesh, result.mesh, confidence),
         ArtifactName.REPORT: report.encode() + b"\n",
     }
 
@@ -111,11 +112,13 @@ def input_arrays(inputs: Inputs) -> dict[str, Any]:
     }
 
 
-def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> dict[str, Any]:
+def make_report(inputs: Inputs, result: Result, config: RefineConfig) -> dict[str, Any]:
     """report.json as an object."""
+    mesh_file = inputs.mesh_file
     device = result.mesh.vertices.device
     return {
         **judgement_of(result).model_dump(mode="json"),
+        "views": [_of_view(view, mesh_file.mesh, result.mesh.to("cpu")) for view in inputs.views],
         "best_iteration": result.best_iteration,
         "mesh": {
             "vertices": len(mesh_file.mesh.vertices),
@@ -135,6 +138,14 @@ def make_report(mesh_file: MeshFile, result: Result, config: RefineConfig) -> di
         "config": asdict(config),
         "versions": {"python": platform.python_version(), **_versions()},
         "loss_curve": {name: [float(x) for x in curve] for name, curve in result.loss_curve.items()},
+    }
+
+
+def _of_view(view: View, before: Mesh, after: Mesh) -> dict[str, Any]:
+    """2D IoU of one view, and the share of its pixels that is known."""
+    return {
+        "silhouette_iou": {"before": silhouette_iou(before, view), "after": silhouette_iou(after, view)},
+        "known": 1.0 if view.known is None else float(view.known.float().mean()),
     }
 
 

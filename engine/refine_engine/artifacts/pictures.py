@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -27,15 +28,18 @@ _SIDE_FOV = 30.0  # degrees
 _COMPRESSION = 3  # of PNG, zlib's levels: two thirds of the time of the usual 6, files a tenth larger
 _MAX_SIDE = 1024  # pixels of confidence.png; a larger camera image is scaled down
 _INPUT, _BEFORE, _AFTER = (0, 140, 51), (230, 89, 0), (26, 64, 230)
+_UNKNOWN, _HATCH = (150, 150, 150), 16  # colour, and pixels from line to line
 _PAPER, _SURFACE, _OBJECT, _MASK = (255, 255, 255), (168, 184, 209), (209, 209, 209), (38, 38, 38)
 
 
-def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor) -> bytes:
-    """preview.png: silhouette, mesh before and after, and their contours, as the input camera sees them;
-    below, the confidence and the same meshes from the side, which the silhouette does not see."""
+def draw_preview(views: Sequence[View], before: Mesh, after: Mesh, confidence: torch.Tensor) -> bytes:
+    """preview.png: silhouette, mesh before and after, and their contours, as the first camera sees them;
+    below, the confidence and the same meshes from the side, which the silhouette does not see; and the
+    contours in all further views. Unknown pixels are hatched."""
+    view = views[0]
     front = fit(view.camera, PANEL_PIXELS * _SAMPLES)
     side = side_camera(view.camera, before, PANEL_PIXELS * _SAMPLES)
-    mask = _resize(view.silhouette.cpu().numpy(), front.width, front.height)
+    mask, unknown = _seen(view, front)
     seen = [hard_render(mesh, front) for mesh in (before, after)]
     aside = [hard_render(mesh, side) for mesh in (before, after)]
     covered = [(fragments.face[0] >= 0).numpy() for fragments in (*seen, *aside)]
@@ -44,10 +48,10 @@ def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor
     sigma = confidence_picture(seen[1], after, confidence)
     rows = [
         [
-            ("input silhouette", _two_colours(mask, _MASK)),
+            ("input silhouette", _hatched(_two_colours(mask, _MASK), unknown)),
             ("before", shade(before, front, seen[0])),
             ("after", shade(after, front, seen[1])),
-            ("contours: input, before, after", _contours(mask, contours)),
+            ("contours: input, before, after", _hatched(_contours(mask, contours), unknown)),
         ],
         [
             ("symmetry confidence, dark 0, bright 1", on_paper(sigma)),
@@ -56,7 +60,32 @@ def draw_preview(view: View, before: Mesh, after: Mesh, confidence: torch.Tensor
             ("contours from the side: before, after", _contours(covered[2], from_side)),
         ],
     ]
+    further = [
+        (f"contours in view {number}", _contours_in(other, before, after))
+        for number, other in enumerate(views[1:], 2)
+    ]
+    rows += [further[i : i + len(rows[0])] for i in range(0, len(further), len(rows[0]))]
     return encode(grid(rows))
+
+
+def _contours_in(view: View, before: Mesh, after: Mesh) -> Picture:
+    """Contours of the input and of both meshes, as a further view sees them."""
+    camera = fit(view.camera, PANEL_PIXELS * _SAMPLES)
+    mask, unknown = _seen(view, camera)
+    covered = [(hard_render(mesh, camera).face[0] >= 0).numpy() for mesh in (before, after)]
+    contours = [(covered[0], _BEFORE), (covered[1], _AFTER), (mask, _INPUT)]
+    return _hatched(_contours(mask, contours), unknown)
+
+
+def _seen(view: View, camera: Camera) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """The object and the unknown pixels of a view, at the size of `camera`."""
+    everywhere = torch.ones_like(view.silhouette, dtype=torch.bool)
+    known = everywhere if view.known is None else view.known
+    masks = [mask.cpu().numpy().astype(np.float32) for mask in (view.object(), ~known)]
+    return (
+        _resize(masks[0], camera.width, camera.height),
+        _resize(masks[1], camera.width, camera.height),
+    )
 
 
 def draw_confidence(view: View, mesh: Mesh, confidence: torch.Tensor) -> bytes:
@@ -169,6 +198,13 @@ def _resize(mask: NDArray[np.float32], width: int, height: int) -> NDArray[np.bo
 def _two_colours(mask: NDArray[np.bool_], colour: Colour) -> Picture:
     """`colour` on the mask, paper around it."""
     return np.array([_PAPER, colour], np.uint8)[mask.astype(np.uint8)]
+
+
+def _hatched(picture: Picture, mask: NDArray[np.bool_]) -> Picture:
+    """The picture with diagonal lines on the mask."""
+    row, column = np.indices(mask.shape)
+    lines = mask & ((row + column) % _HATCH < _HATCH // 4)
+    return np.where(lines[..., None], np.array(_UNKNOWN, np.uint8), picture)
 
 
 def _contours(fill: NDArray[np.bool_], outlines: list[tuple[NDArray[np.bool_], Colour]]) -> Picture:

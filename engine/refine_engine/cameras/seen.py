@@ -43,8 +43,10 @@ def hard_silhouette(mesh: Mesh, camera: Camera) -> Tensor:
 
 
 def silhouette_iou(mesh: Mesh, view: View) -> float:
-    """2D IoU: `hard_silhouette` of the mesh from the view's camera against silhouette > 0.5."""
-    covered, wanted = hard_silhouette(mesh, view.camera), view.silhouette > 0.5
+    """2D IoU of what is known: `hard_silhouette` of the mesh from the view's camera against the object."""
+    covered, wanted = hard_silhouette(mesh, view.camera), view.object()
+    if view.known is not None:
+        covered = covered & view.known
     return float((covered & wanted).sum() / (covered | wanted).sum())
 
 

@@ -1,19 +1,26 @@
-"""The contract's CameraSpec -> Camera, the one internal form; and what else the same numbers could mean.
+"""The contract's CameraSpec -> Camera, the one internal form. What else its numbers could mean: readings.py.
 
 What a CameraSpec may be, and what is wrong with one, is said in `refine_proto.cameras`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from refine_proto.cameras import CAMERA_SPEC, CameraSpec, LookAtCamera, MatrixCamera
+from refine_proto.cameras import (
+    CAMERA_SPEC,
+    DEFAULT_FOV_Y_DEGREES,
+    CameraSpec,
+    LookAtCamera,
+    MatrixCamera,
+)
 from refine_proto.strict import complaints, in_one_line
 
 from ..errors import CameraInvalid
@@ -47,57 +54,15 @@ def camera_from_spec(spec: CameraSpec, width: int, height: int) -> Camera:
     Raises CameraInvalid for intrinsics that belong to another size of image.
     """
     if isinstance(spec, LookAtCamera):
-        a, e = spec.azimuth_degrees, spec.elevation_degrees
-        return Camera.look_at(a, e, spec.distance, spec.fov_y_degrees, width, height)
-    pose = _Reading.of(spec).world_to_camera()
+        pose = look_at_pose(spec, spec.azimuth_degrees, spec.elevation_degrees)
+        f = _focal_length(spec, width, height)
+        return Camera(pose, f, f, width / 2, height / 2, width, height)
+    pose = WrittenPose.of(spec).world_to_camera()
     return Camera(pose, *_lens(spec, width, height), width, height, spec.projection)
 
 
-def other_readings(spec: CameraSpec, given: Camera) -> dict[str, Camera]:
-    """What the numbers of `spec`, which says `given`, mean in other usual conventions: description -> camera.
-
-    Readings that are the same camera as the given one or as an earlier one are left out.
-    """
-    poses = _other_look_ats(spec, given) if isinstance(spec, LookAtCamera) else _other_matrices(spec)
-    cameras: dict[str, Camera] = {}
-    for name, pose in poses.items():
-        seen = (given, *cameras.values())
-        if not any(torch.allclose(pose, camera.world_to_camera, atol=1e-5) for camera in seen):
-            cameras[name] = replace(given, world_to_camera=pose)
-    return cameras
-
-
-def _other_look_ats(spec: LookAtCamera, given: Camera) -> dict[str, Tensor]:
-    """Azimuth counted the other way or from another axis, elevation downwards, a world with Z up."""
-    azimuth, elevation = spec.azimuth_degrees, spec.elevation_degrees
-    angles = {
-        "azimuth_degrees negated": (-azimuth, elevation),
-        "elevation_degrees negated": (azimuth, -elevation),
-        **{f"azimuth_degrees {turn:+}": (azimuth + turn, elevation) for turn in (90, -90, 180)},
-    }
-    poses = {
-        name: Camera.look_at(a, e, spec.distance, spec.fov_y_degrees, 1, 1).world_to_camera
-        for name, (a, e) in angles.items()
-    }
-    z_up = torch.tensor([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # x, y, z -> x, z, -y
-    return poses | {"a mesh with Z up (turn it to Y up)": given.world_to_camera @ z_up}
-
-
-def _other_matrices(spec: MatrixCamera) -> dict[str, Tensor]:
-    """The other conventions, the other direction, the rotation transposed, and all of these together."""
-    told = _Reading.of(spec)
-    other = DIRECTIONS[1 - DIRECTIONS.index(told.direction)]
-    readings = [
-        replace(told, convention=convention, direction=direction, transposed=transposed)
-        for transposed in (False, True)
-        for direction in (told.direction, other)
-        for convention in AXES
-    ]
-    return {reading.describe(): reading.world_to_camera() for reading in readings}
-
-
 @dataclass(frozen=True)
-class _Reading:
+class WrittenPose:
     """A rigid 4x4 matrix and what it is taken to mean."""
 
     matrix: Tensor  # (4, 4) float64
@@ -106,9 +71,9 @@ class _Reading:
     transposed: bool = False  # the rotation acts on row vectors, as PyTorch3D's R does
 
     @staticmethod
-    def of(spec: MatrixCamera) -> _Reading:
+    def of(spec: MatrixCamera) -> WrittenPose:
         direction: Direction = "camera_to_world" if spec.world_to_camera is None else "world_to_camera"
-        return _Reading(
+        return WrittenPose(
             torch.tensor(getattr(spec, direction), dtype=torch.float64), spec.convention, direction
         )
 
@@ -126,12 +91,31 @@ class _Reading:
         return f"convention {self.convention}, {self.direction}{rotation}"
 
 
+def look_at_pose(spec: LookAtCamera, azimuth: float, elevation: float) -> Tensor:
+    """(4, 4): the camera of `spec` with other angles, its roll as it is."""
+    pose = Camera.look_at(azimuth, elevation, spec.distance, DEFAULT_FOV_Y_DEGREES, 1, 1).world_to_camera
+    roll = math.radians(spec.roll_degrees)
+    if roll == 0.0:
+        return pose
+    cos, sin = math.cos(roll), math.sin(roll)
+    turn = torch.eye(4)
+    turn[0, 0], turn[0, 1], turn[1, 0], turn[1, 1] = cos, sin, -sin, cos
+    return turn @ pose
+
+
+def _focal_length(spec: LookAtCamera | MatrixCamera, width: int, height: int) -> float:
+    """Pixels, from the one field of view that is given."""
+    if spec.fov_x_degrees is not None:
+        return focal_length(spec.fov_x_degrees, width)
+    assert spec.fov_y_degrees is not None
+    return focal_length(spec.fov_y_degrees, height)
+
+
 def _lens(spec: MatrixCamera, width: int, height: int) -> tuple[float, float, float, float]:
     """fx, fy, cx, cy in pixels."""
     lens = spec.intrinsics
     if lens is None:
-        assert spec.fov_y_degrees is not None  # a MatrixCamera has one of the two
-        f = focal_length(spec.fov_y_degrees, height)
+        f = _focal_length(spec, width, height)
         return f, f, width / 2, height / 2
     try:
         lens.check_size(width, height)

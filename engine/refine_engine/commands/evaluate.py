@@ -96,7 +96,7 @@ def eval_parser() -> argparse.ArgumentParser:
         "--coarse", type=Path, metavar="MESH", help="the mesh before refinement, to compare with"
     )
     parser.add_argument("--camera", type=Path, metavar="JSON", help="camera of the silhouette (a CameraSpec)")
-    parser.add_argument("--silhouette", type=Path, metavar="PNG", help="silhouette of the object")
+    parser.add_argument("--silhouette", type=Path, metavar="IMAGE", help="silhouette of the object")
     parser.add_argument(
         "--normalisation", choices=["shared", "own"], default="shared", help="default: shared"
     )

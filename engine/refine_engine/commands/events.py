@@ -21,6 +21,7 @@ from refine_proto.progress import ProgressMeter
 
 from .. import values
 from ..contract import judgement_of
+from ..request import Inputs
 
 NEVER = datetime(9999, 12, 31, 23, 59, 59, tzinfo=UTC)  # as certificates say it (RFC 5280)
 INTERVAL_S = 0.5  # between two events of progress, as from a server
@@ -43,6 +44,10 @@ class RunEvents:
         self._show, self._meter = show, ProgressMeter()
         self._sequence, self._told = 0, -INTERVAL_S
         self._send(EventType.STATE)
+
+    def read(self, inputs: Inputs) -> None:
+        """The inputs were read and checked."""
+        self._refinement = self._refinement.model_copy(update={"checks": list(inputs.findings)})
 
     def report(self, progress: values.Progress) -> None:
         """An iteration has ended; every INTERVAL_S and the last one are told."""

@@ -12,20 +12,22 @@ from pathlib import Path
 import torch
 
 from refine_proto import errors as contract
+from refine_proto.camera_files import read_camera_file
+from refine_proto.cameras import CameraSpec
 from refine_proto.commands.cores import usable_cores
 from refine_proto.commands.display import Display, choose_display
 from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
-from refine_proto.commands.options import add_options, read_options
+from refine_proto.commands.options import add_options, add_views, read_options, read_views
 from refine_proto.models import Refinement
 
 from ..artifacts.make import make_artifacts
-from ..cameras.spec import read_camera
+from ..checks.check import GivenPlane
 from ..contract import config_of
 from ..errors import InputError, OptionsInvalid, RefineError
 from ..files.beside import in_folder_of
 from ..kernels.cuda import keep_float32
 from ..method.config import RefineConfig
-from ..request import Inputs, read_inputs
+from ..request import Inputs, Observation, read_inputs
 from .events import RunEvents
 
 
@@ -34,13 +36,18 @@ def run_command(argv: Sequence[str]) -> int:
     try:
         _run(run_parser().parse_args(argv))
     except Exception as error:
-        told = _told(error)
-        code = BAD_INPUT if isinstance(told, contract.InvalidInput) else FAILED
-        return fail(f"{told.reason}: {told.detail}", code)
+        return end(error)
     return 0
 
 
-def _told(error: Exception) -> contract.RefineError:
+def end(error: Exception) -> int:
+    """Tell why a command ends; its exit code."""
+    problem = told(error)
+    code = BAD_INPUT if isinstance(problem, contract.InvalidInput) else FAILED
+    return fail(f"{problem.reason}: {problem.detail}", code)
+
+
+def told(error: Exception) -> contract.RefineError:
     """The error in the words of the contract."""
     match error:
         case contract.RefineError():
@@ -62,9 +69,7 @@ def run_parser() -> Parser:
         description="Refine a coarse mesh so that it agrees with its silhouette and stays plausible.",
         epilog="`refine docs conventions` explains cameras, silhouettes and units.",
     )
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL, OFF, or a ZIP")
-    parser.add_argument("silhouette", type=Path, metavar="SILHOUETTE", help="PNG: alpha, or white on black")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="of the silhouette")
+    add_files(parser)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="for the artifacts")
     parser.add_argument(
         "--device", choices=["auto", "cpu", "cuda"], default="auto", help="auto: CUDA if present"
@@ -77,6 +82,24 @@ def run_parser() -> Parser:
     return parser
 
 
+def add_files(parser: Parser) -> None:
+    """The arguments that name the inputs of a run."""
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL, OFF, or a ZIP")
+    add_views(parser)
+
+
+def read_observations(arguments: argparse.Namespace) -> list[Observation]:
+    """The views that the arguments of `add_files` name, at least one; raises InputError."""
+    return [
+        Observation(
+            read_file(paths.silhouette),
+            _camera(paths.camera, paths.place),
+            read_file(paths.ignore) if paths.ignore else None,
+        )
+        for paths in read_views(arguments)
+    ]
+
+
 def _run(arguments: argparse.Namespace) -> None:
     options = read_options(arguments)
     config = config_of(options)
@@ -86,13 +109,19 @@ def _run(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(arguments.threads)
     keep_float32()
     _check_target(arguments.output)
+    first, *further = read_observations(arguments)
     inputs = read_inputs(
-        _read(arguments.mesh),
+        read_file(arguments.mesh),
         arguments.mesh.name,
-        _read(arguments.silhouette),
-        read_camera(_read(arguments.camera)),
+        first.silhouette,
+        first.camera,
         options.silhouette_threshold,
         beside=in_folder_of(arguments.mesh),
+        ignore_grey=options.ignore_grey,
+        ignore=first.ignore,
+        more_views=further,
+        checks=options.checks,
+        symmetry=GivenPlane.of(config),
     )
     display = choose_display(arguments.json)
     with display:
@@ -100,7 +129,7 @@ def _run(arguments: argparse.Namespace) -> None:
         try:
             refinement, artifacts = _refine(inputs, config, device, events, display)
         except Exception as error:
-            events.failed(_told(error))
+            events.failed(told(error))
             raise
     display.finish(refinement)
     display.written(_publish(artifacts, arguments.output))
@@ -109,6 +138,7 @@ def _run(arguments: argparse.Namespace) -> None:
 def _refine(
     inputs: Inputs, config: RefineConfig, device: torch.device, events: RunEvents, display: Display
 ) -> tuple[Refinement, dict[str, bytes]]:
+    events.read(inputs)
     for warning in inputs.warnings:  # now: they may be a reason to stop
         display.warn(warning)
     result = inputs.refine(config, device, events.report)
@@ -125,9 +155,16 @@ def _device(name: str) -> torch.device:
     return torch.device("cuda" if available and name != "cpu" else "cpu")
 
 
-def _read(path: Path) -> bytes:
+def read_file(path: Path) -> bytes:
     try:
         return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
+
+
+def _camera(path: Path, place: Sequence[str | int]) -> CameraSpec:
+    try:
+        return read_camera_file(path, place)
     except OSError as error:
         raise InputError(f"expected a file that can be read, got {path}: {error.strerror}") from error
 

@@ -182,10 +182,11 @@ class Fit:
         return torch.stack(terms), confidence
 
     def measure(self, vertices: Tensor) -> None:
-        """2D IoU of the hard render, as the result's: mean over the views; 0 where nothing is seen."""
+        """2D IoU of the hard render, as the result's: known pixels, mean over views; 0 if nothing is seen."""
         side = self.stage.render_size
         covered = rasterize(self.target.project(vertices), self.seen_faces, (side, side)).face >= 0
-        wanted = self.target.silhouette > 0.5
+        known = self.target.known > 0.5
+        covered, wanted = covered & known, (self.target.silhouette > 0.5) & known
         both, either = (covered & wanted).flatten(1).sum(1), (covered | wanted).flatten(1).sum(1)
         self.iou.copy_((both / either.clamp_min(1)).mean())
 

@@ -44,7 +44,7 @@ def find_unexplained(vertices: Tensor, faces: Tensor, target: Target, depth: flo
     place. A lost part does pull: what moves towards it is nearer to the truth than nothing there.
     """
     covered = rasterize(target.project(vertices), faces, (target.side, target.side)).face >= 0
-    wanted = target.silhouette > 0.5
+    wanted = torch.where(target.known > 0.5, target.silhouette > 0.5, covered)  # nothing to explain elsewhere
     pairs = zip(wanted, covered, strict=True)
     return torch.stack([_deep(mesh, object_, depth) for object_, mesh in pairs])
 

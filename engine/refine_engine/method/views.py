@@ -69,7 +69,7 @@ class Region:
     def around(view: View, mesh: Mesh) -> Region:
         """The object with a margin of a tenth: where the silhouette is, and where the mesh is seen."""
         camera = view.camera
-        rows, columns = (view.silhouette > 0.5).nonzero().unbind(1)
+        rows, columns = view.object().nonzero().unbind(1)
         covered = seen_by(mesh, [camera]).face[0] >= 0
         if covered.any():
             more_rows, more_columns = covered.nonzero().unbind(1)
@@ -84,8 +84,8 @@ class Region:
 class Target:
     """The input views as square images of one size."""
 
-    silhouette: Tensor  # (B, N, N) coverage in [0, 1]
-    known: Tensor  # (B, N, N) 1 inside the input image, 0 beyond it
+    silhouette: Tensor  # (B, N, N) coverage in [0, 1] of what is known
+    known: Tensor  # (B, N, N) share that is known: 0 beyond the input image and where the view does not know
     world_to_camera: Tensor  # (B, 4, 4) normalised frame
     intrinsics: Tensor  # (B, 4) pixels of the square image
     orthographic: bool
@@ -102,8 +102,9 @@ class Target:
                 -region.top,
                 region.top + region.side - camera.height,
             )  # beyond each border; negative: cut off
-            images.append(resize(F.pad(view.silhouette, pad), side))
-            known.append(resize(F.pad(torch.ones_like(view.silhouette), pad), side))
+            image, seen = _padded(view, pad, side)
+            images.append(image)
+            known.append(seen)
             zoom = side / region.side
             unit = zoom * (frame.scale if camera.projection == "orthographic" else 1.0)
             centre = (camera.cx - region.left) * zoom, (camera.cy - region.top) * zoom
@@ -117,7 +118,7 @@ class Target:
         )
 
     def background(self) -> Tensor:
-        """(B, N, N) bool: inside the image and not on the object."""
+        """(B, N, N) bool: known, and not on the object."""
         return (self.silhouette <= 0.5) & (self.known > 0.5)
 
     @property
@@ -133,6 +134,16 @@ class Target:
     def optical_depth(self, vertices: Tensor, faces: Tensor, softness: float) -> Tensor:
         """(B, N, N), see `silhouette`."""
         return optical_depth(self.project(vertices), faces, self.side, softness)
+
+
+def _padded(view: View, pad: tuple[int, int, int, int], side: int) -> tuple[Tensor, Tensor]:
+    """Coverage and the share that is known (N, N) of a view padded to a square of `side` pixels."""
+    if view.known is None:
+        everywhere = torch.ones_like(view.silhouette)
+        return resize(F.pad(view.silhouette, pad), side), resize(F.pad(everywhere, pad), side)
+    known = resize(F.pad(view.known.to(view.silhouette), pad), side)
+    image = resize(F.pad(view.object().to(view.silhouette), pad), side)
+    return image / known.clamp_min(1e-6), known  # a pixel that is half unknown shows what its other half does
 
 
 def _one_projection(views: Sequence[View]) -> str:

@@ -1,13 +1,62 @@
-"""RefinementOptions on the command line, the same for `refine run` and `refine submit`."""
+"""What `refine run` and `refine submit` take alike: the views, and RefinementOptions."""
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
+from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from ..errors import from_validation
-from ..models import Preset, RefinementOptions, Symmetry, Topology
+from ..errors import InvalidInput, from_validation
+from ..formats import MAX_VIEWS
+from ..models import Checks, Preset, RefinementOptions, Symmetry, Topology
+
+
+class ViewPaths(NamedTuple):
+    """The files of one view."""
+
+    silhouette: Path
+    camera: Path
+    ignore: Path | None = None
+    place: tuple[str | int, ...] = ("camera",)  # where the camera sits in a request
+
+
+def add_views(parser: argparse.ArgumentParser) -> None:
+    """The arguments for what was seen: a silhouette with its camera, and further views."""
+    parser.add_argument(
+        "silhouette", type=Path, metavar="SILHOUETTE",
+        help="PNG, JPEG, WebP, TIFF or BMP: alpha, or white on black",
+    )  # fmt: skip
+    parser.add_argument(
+        "--camera", type=Path, required=True, metavar="CAMERA.json",
+        help="of the silhouette; or transforms.json#FRAME, COLMAP_FOLDER#IMAGE",
+    )  # fmt: skip
+    parser.add_argument(
+        "--ignore", type=Path, metavar="IMAGE", help="where it shows an object, nothing is known (none)"
+    )
+    parser.add_argument(
+        "--view", dest="views", action="append", default=[], type=Path, nargs="+",
+        metavar=("SILHOUETTE CAMERA.json", "IGNORE"),
+        help="a further view of the same object, as often as there are any",
+    )  # fmt: skip
+
+
+def read_views(arguments: argparse.Namespace) -> list[ViewPaths]:
+    """The views that the arguments name, at least one; InvalidInput."""
+    for paths in arguments.views:
+        if len(paths) not in (2, 3):
+            raise InvalidInput(
+                f"expected --view SILHOUETTE CAMERA.json [IGNORE], got {len(paths)} "
+                f"file{'s' if len(paths) > 1 else ''}: {' '.join(map(str, paths))}"
+            )
+    further = [
+        ViewPaths(paths[0], paths[1], paths[2] if len(paths) > 2 else None, ("views", number, "camera"))
+        for number, paths in enumerate(arguments.views)
+    ]
+    if len(further) >= MAX_VIEWS:
+        raise InvalidInput(f"expected at most {MAX_VIEWS} views, got {len(further) + 1}")
+    return [ViewPaths(arguments.silhouette, arguments.camera, arguments.ignore), *further]
 
 
 def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
@@ -39,7 +88,14 @@ def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     )
     group.add_argument(
         "--silhouette-threshold", type=float, metavar="T",
-        help=f"share of full scale above which is object ({_default('silhouette_threshold')})",
+        help=f"where soft edges begin, between the image's levels ({_default('silhouette_threshold')})",
+    )  # fmt: skip
+    group.add_argument(
+        "--ignore-grey", type=int, metavar="LEVEL", help="pixels of this level are unknown, e.g. 128 (none)"
+    )
+    group.add_argument(
+        "--checks", choices=list(Checks), metavar="CHECKS",
+        help=f"of the inputs, before the run: {', '.join(Checks)} ({_default('checks')})",
     )  # fmt: skip
     return group
 

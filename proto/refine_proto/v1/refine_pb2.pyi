@@ -12,7 +12,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RefinementOptions(_message.Message):
-    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s", "symmetry", "topology", "correct_camera")
+    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s", "symmetry", "topology", "correct_camera", "checks", "ignore_grey")
     class Preset(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PRESET_UNSPECIFIED: _ClassVar[RefinementOptions.Preset]
@@ -41,6 +41,16 @@ class RefinementOptions(_message.Message):
     TOPOLOGY_UNSPECIFIED: RefinementOptions.Topology
     OPEN: RefinementOptions.Topology
     FIXED: RefinementOptions.Topology
+    class Checks(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        CHECKS_UNSPECIFIED: _ClassVar[RefinementOptions.Checks]
+        STRICT: _ClassVar[RefinementOptions.Checks]
+        WARN: _ClassVar[RefinementOptions.Checks]
+        OFF: _ClassVar[RefinementOptions.Checks]
+    CHECKS_UNSPECIFIED: RefinementOptions.Checks
+    STRICT: RefinementOptions.Checks
+    WARN: RefinementOptions.Checks
+    OFF: RefinementOptions.Checks
     PRESET_FIELD_NUMBER: _ClassVar[int]
     ITERATIONS_FIELD_NUMBER: _ClassVar[int]
     SEED_FIELD_NUMBER: _ClassVar[int]
@@ -51,6 +61,8 @@ class RefinementOptions(_message.Message):
     SYMMETRY_FIELD_NUMBER: _ClassVar[int]
     TOPOLOGY_FIELD_NUMBER: _ClassVar[int]
     CORRECT_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    CHECKS_FIELD_NUMBER: _ClassVar[int]
+    IGNORE_GREY_FIELD_NUMBER: _ClassVar[int]
     preset: RefinementOptions.Preset
     iterations: int
     seed: int
@@ -61,30 +73,40 @@ class RefinementOptions(_message.Message):
     symmetry: RefinementOptions.Symmetry
     topology: RefinementOptions.Topology
     correct_camera: bool
-    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., symmetry: _Optional[_Union[RefinementOptions.Symmetry, str]] = ..., topology: _Optional[_Union[RefinementOptions.Topology, str]] = ..., correct_camera: bool = ...) -> None: ...
+    checks: RefinementOptions.Checks
+    ignore_grey: int
+    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., symmetry: _Optional[_Union[RefinementOptions.Symmetry, str]] = ..., topology: _Optional[_Union[RefinementOptions.Topology, str]] = ..., correct_camera: bool = ..., checks: _Optional[_Union[RefinementOptions.Checks, str]] = ..., ignore_grey: _Optional[int] = ...) -> None: ...
 
 class CameraSpec(_message.Message):
-    __slots__ = ("look_at", "matrix")
+    __slots__ = ("look_at", "matrix", "pytorch3d", "network")
     LOOK_AT_FIELD_NUMBER: _ClassVar[int]
     MATRIX_FIELD_NUMBER: _ClassVar[int]
+    PYTORCH3D_FIELD_NUMBER: _ClassVar[int]
+    NETWORK_FIELD_NUMBER: _ClassVar[int]
     look_at: LookAtCamera
     matrix: MatrixCamera
-    def __init__(self, look_at: _Optional[_Union[LookAtCamera, _Mapping]] = ..., matrix: _Optional[_Union[MatrixCamera, _Mapping]] = ...) -> None: ...
+    pytorch3d: PyTorch3DCamera
+    network: NetworkCamera
+    def __init__(self, look_at: _Optional[_Union[LookAtCamera, _Mapping]] = ..., matrix: _Optional[_Union[MatrixCamera, _Mapping]] = ..., pytorch3d: _Optional[_Union[PyTorch3DCamera, _Mapping]] = ..., network: _Optional[_Union[NetworkCamera, _Mapping]] = ...) -> None: ...
 
 class LookAtCamera(_message.Message):
-    __slots__ = ("azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees")
+    __slots__ = ("azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees", "fov_x_degrees", "roll_degrees")
     AZIMUTH_DEGREES_FIELD_NUMBER: _ClassVar[int]
     ELEVATION_DEGREES_FIELD_NUMBER: _ClassVar[int]
     DISTANCE_FIELD_NUMBER: _ClassVar[int]
     FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    FOV_X_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ROLL_DEGREES_FIELD_NUMBER: _ClassVar[int]
     azimuth_degrees: float
     elevation_degrees: float
     distance: float
     fov_y_degrees: float
-    def __init__(self, azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., distance: _Optional[float] = ..., fov_y_degrees: _Optional[float] = ...) -> None: ...
+    fov_x_degrees: float
+    roll_degrees: float
+    def __init__(self, azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., distance: _Optional[float] = ..., fov_y_degrees: _Optional[float] = ..., fov_x_degrees: _Optional[float] = ..., roll_degrees: _Optional[float] = ...) -> None: ...
 
 class MatrixCamera(_message.Message):
-    __slots__ = ("convention", "world_to_camera", "camera_to_world", "intrinsics", "fov_y_degrees", "projection")
+    __slots__ = ("convention", "world_to_camera", "camera_to_world", "intrinsics", "fov_y_degrees", "projection", "fov_x_degrees")
     class Convention(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         CONVENTION_UNSPECIFIED: _ClassVar[MatrixCamera.Convention]
@@ -109,13 +131,61 @@ class MatrixCamera(_message.Message):
     INTRINSICS_FIELD_NUMBER: _ClassVar[int]
     FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
     PROJECTION_FIELD_NUMBER: _ClassVar[int]
+    FOV_X_DEGREES_FIELD_NUMBER: _ClassVar[int]
     convention: MatrixCamera.Convention
     world_to_camera: _containers.RepeatedScalarFieldContainer[float]
     camera_to_world: _containers.RepeatedScalarFieldContainer[float]
     intrinsics: Intrinsics
     fov_y_degrees: float
     projection: MatrixCamera.Projection
-    def __init__(self, convention: _Optional[_Union[MatrixCamera.Convention, str]] = ..., world_to_camera: _Optional[_Iterable[float]] = ..., camera_to_world: _Optional[_Iterable[float]] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., fov_y_degrees: _Optional[float] = ..., projection: _Optional[_Union[MatrixCamera.Projection, str]] = ...) -> None: ...
+    fov_x_degrees: float
+    def __init__(self, convention: _Optional[_Union[MatrixCamera.Convention, str]] = ..., world_to_camera: _Optional[_Iterable[float]] = ..., camera_to_world: _Optional[_Iterable[float]] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., fov_y_degrees: _Optional[float] = ..., projection: _Optional[_Union[MatrixCamera.Projection, str]] = ..., fov_x_degrees: _Optional[float] = ...) -> None: ...
+
+class PyTorch3DCamera(_message.Message):
+    __slots__ = ("R", "T", "intrinsics", "fov_y_degrees", "fov_x_degrees")
+    R_FIELD_NUMBER: _ClassVar[int]
+    T_FIELD_NUMBER: _ClassVar[int]
+    INTRINSICS_FIELD_NUMBER: _ClassVar[int]
+    FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    FOV_X_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    R: _containers.RepeatedScalarFieldContainer[float]
+    T: _containers.RepeatedScalarFieldContainer[float]
+    intrinsics: Intrinsics
+    fov_y_degrees: float
+    fov_x_degrees: float
+    def __init__(self, R: _Optional[_Iterable[float]] = ..., T: _Optional[_Iterable[float]] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., fov_y_degrees: _Optional[float] = ..., fov_x_degrees: _Optional[float] = ...) -> None: ...
+
+class NetworkCamera(_message.Message):
+    __slots__ = ("name", "azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees")
+    class Name(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        NAME_UNSPECIFIED: _ClassVar[NetworkCamera.Name]
+        TRIPOSR: _ClassVar[NetworkCamera.Name]
+        SF3D: _ClassVar[NetworkCamera.Name]
+        INSTANTMESH: _ClassVar[NetworkCamera.Name]
+        TRELLIS: _ClassVar[NetworkCamera.Name]
+        HUNYUAN3D: _ClassVar[NetworkCamera.Name]
+        PIXEL2MESH: _ClassVar[NetworkCamera.Name]
+        OCCNET: _ClassVar[NetworkCamera.Name]
+    NAME_UNSPECIFIED: NetworkCamera.Name
+    TRIPOSR: NetworkCamera.Name
+    SF3D: NetworkCamera.Name
+    INSTANTMESH: NetworkCamera.Name
+    TRELLIS: NetworkCamera.Name
+    HUNYUAN3D: NetworkCamera.Name
+    PIXEL2MESH: NetworkCamera.Name
+    OCCNET: NetworkCamera.Name
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    AZIMUTH_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ELEVATION_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_FIELD_NUMBER: _ClassVar[int]
+    FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    name: NetworkCamera.Name
+    azimuth_degrees: float
+    elevation_degrees: float
+    distance: float
+    fov_y_degrees: float
+    def __init__(self, name: _Optional[_Union[NetworkCamera.Name, str]] = ..., azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., distance: _Optional[float] = ..., fov_y_degrees: _Optional[float] = ...) -> None: ...
 
 class Intrinsics(_message.Message):
     __slots__ = ("fx", "fy", "cx", "cy", "width", "height")
@@ -134,7 +204,7 @@ class Intrinsics(_message.Message):
     def __init__(self, fx: _Optional[float] = ..., fy: _Optional[float] = ..., cx: _Optional[float] = ..., cy: _Optional[float] = ..., width: _Optional[int] = ..., height: _Optional[int] = ...) -> None: ...
 
 class RefinementSpec(_message.Message):
-    __slots__ = ("camera", "options", "mesh_format")
+    __slots__ = ("camera", "options", "mesh_format", "views")
     class MeshFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         MESH_FORMAT_UNSPECIFIED: _ClassVar[RefinementSpec.MeshFormat]
@@ -156,13 +226,21 @@ class RefinementSpec(_message.Message):
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
     MESH_FORMAT_FIELD_NUMBER: _ClassVar[int]
+    VIEWS_FIELD_NUMBER: _ClassVar[int]
     camera: CameraSpec
     options: RefinementOptions
     mesh_format: RefinementSpec.MeshFormat
-    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., mesh_format: _Optional[_Union[RefinementSpec.MeshFormat, str]] = ...) -> None: ...
+    views: _containers.RepeatedCompositeFieldContainer[View]
+    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., mesh_format: _Optional[_Union[RefinementSpec.MeshFormat, str]] = ..., views: _Optional[_Iterable[_Union[View, _Mapping]]] = ...) -> None: ...
+
+class View(_message.Message):
+    __slots__ = ("camera",)
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    camera: CameraSpec
+    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ...) -> None: ...
 
 class Refinement(_message.Message):
-    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction")
+    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction", "checks")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Refinement.State]
@@ -209,6 +287,7 @@ class Refinement(_message.Message):
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
     MIRROR_PLANE_FIELD_NUMBER: _ClassVar[int]
     CAMERA_CORRECTION_FIELD_NUMBER: _ClassVar[int]
+    CHECKS_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: Refinement.State
     options: RefinementOptions
@@ -227,7 +306,38 @@ class Refinement(_message.Message):
     warnings: _containers.RepeatedScalarFieldContainer[str]
     mirror_plane: MirrorPlane
     camera_correction: CameraCorrection
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ...) -> None: ...
+    checks: _containers.RepeatedCompositeFieldContainer[Finding]
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ...) -> None: ...
+
+class Finding(_message.Message):
+    __slots__ = ("code", "severity", "message", "reading")
+    class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        SEVERITY_UNSPECIFIED: _ClassVar[Finding.Severity]
+        WARNING: _ClassVar[Finding.Severity]
+        REFUSED: _ClassVar[Finding.Severity]
+    SEVERITY_UNSPECIFIED: Finding.Severity
+    WARNING: Finding.Severity
+    REFUSED: Finding.Severity
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    SEVERITY_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    READING_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    severity: Finding.Severity
+    message: str
+    reading: Reading
+    def __init__(self, code: _Optional[str] = ..., severity: _Optional[_Union[Finding.Severity, str]] = ..., message: _Optional[str] = ..., reading: _Optional[_Union[Reading, _Mapping]] = ...) -> None: ...
+
+class Reading(_message.Message):
+    __slots__ = ("name", "silhouette_iou", "camera")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SILHOUETTE_IOU_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    silhouette_iou: float
+    camera: CameraSpec
+    def __init__(self, name: _Optional[str] = ..., silhouette_iou: _Optional[float] = ..., camera: _Optional[_Union[CameraSpec, _Mapping]] = ...) -> None: ...
 
 class Progress(_message.Message):
     __slots__ = ("iteration", "total", "percent", "eta_s", "losses", "silhouette_iou")
@@ -326,6 +436,18 @@ class Event(_message.Message):
     refinement: Refinement
     def __init__(self, sequence: _Optional[int] = ..., type: _Optional[_Union[Event.Type, str]] = ..., time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., refinement: _Optional[_Union[Refinement, _Mapping]] = ...) -> None: ...
 
+class Validation(_message.Message):
+    __slots__ = ("accepted", "silhouette_iou", "warnings", "checks")
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    SILHOUETTE_IOU_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    CHECKS_FIELD_NUMBER: _ClassVar[int]
+    accepted: bool
+    silhouette_iou: float
+    warnings: _containers.RepeatedScalarFieldContainer[str]
+    checks: _containers.RepeatedCompositeFieldContainer[Finding]
+    def __init__(self, accepted: bool = ..., silhouette_iou: _Optional[float] = ..., warnings: _Optional[_Iterable[str]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ...) -> None: ...
+
 class RefinementPage(_message.Message):
     __slots__ = ("refinements", "next_cursor")
     REFINEMENTS_FIELD_NUMBER: _ClassVar[int]
@@ -365,7 +487,7 @@ class FieldError(_message.Message):
     def __init__(self, pointer: _Optional[str] = ..., detail: _Optional[str] = ...) -> None: ...
 
 class CreateRefinementRequest(_message.Message):
-    __slots__ = ("header", "mesh_chunk", "silhouette_chunk")
+    __slots__ = ("header", "mesh_chunk", "silhouette_chunk", "file_chunk")
     class Header(_message.Message):
         __slots__ = ("request_id", "spec", "mesh_bytes", "silhouette_bytes")
         REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -380,10 +502,20 @@ class CreateRefinementRequest(_message.Message):
     HEADER_FIELD_NUMBER: _ClassVar[int]
     MESH_CHUNK_FIELD_NUMBER: _ClassVar[int]
     SILHOUETTE_CHUNK_FIELD_NUMBER: _ClassVar[int]
+    FILE_CHUNK_FIELD_NUMBER: _ClassVar[int]
     header: CreateRefinementRequest.Header
     mesh_chunk: bytes
     silhouette_chunk: bytes
-    def __init__(self, header: _Optional[_Union[CreateRefinementRequest.Header, _Mapping]] = ..., mesh_chunk: _Optional[bytes] = ..., silhouette_chunk: _Optional[bytes] = ...) -> None: ...
+    file_chunk: FileChunk
+    def __init__(self, header: _Optional[_Union[CreateRefinementRequest.Header, _Mapping]] = ..., mesh_chunk: _Optional[bytes] = ..., silhouette_chunk: _Optional[bytes] = ..., file_chunk: _Optional[_Union[FileChunk, _Mapping]] = ...) -> None: ...
+
+class FileChunk(_message.Message):
+    __slots__ = ("part", "data")
+    PART_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    part: str
+    data: bytes
+    def __init__(self, part: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class GetRefinementRequest(_message.Message):
     __slots__ = ("id",)

@@ -42,6 +42,11 @@ class RefinementsStub(object):
                 request_serializer=refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.SerializeToString,
                 response_deserializer=refine__proto_dot_v1_dot_refine__pb2.Refinement.FromString,
                 _registered_method=True)
+        self.ValidateRefinement = channel.stream_unary(
+                '/refine.v1.Refinements/ValidateRefinement',
+                request_serializer=refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.SerializeToString,
+                response_deserializer=refine__proto_dot_v1_dot_refine__pb2.Validation.FromString,
+                _registered_method=True)
         self.GetRefinement = channel.unary_unary(
                 '/refine.v1.Refinements/GetRefinement',
                 request_serializer=refine__proto_dot_v1_dot_refine__pb2.GetRefinementRequest.SerializeToString,
@@ -80,7 +85,14 @@ class RefinementsServicer(object):
     """
 
     def CreateRefinement(self, request_iterator, context):
-        """One header, then the chunks of the mesh and of the silhouette (64 KiB each is a good size).
+        """One header, then the chunks of the mesh, the silhouette and any further files (64 KiB each is a good size).
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ValidateRefinement(self, request_iterator, context):
+        """The same messages as for CreateRefinement. Says what looks wrong; nothing is refined or kept.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -135,6 +147,11 @@ def add_RefinementsServicer_to_server(servicer, server):
                     servicer.CreateRefinement,
                     request_deserializer=refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.FromString,
                     response_serializer=refine__proto_dot_v1_dot_refine__pb2.Refinement.SerializeToString,
+            ),
+            'ValidateRefinement': grpc.stream_unary_rpc_method_handler(
+                    servicer.ValidateRefinement,
+                    request_deserializer=refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.FromString,
+                    response_serializer=refine__proto_dot_v1_dot_refine__pb2.Validation.SerializeToString,
             ),
             'GetRefinement': grpc.unary_unary_rpc_method_handler(
                     servicer.GetRefinement,
@@ -196,6 +213,33 @@ class Refinements(object):
             '/refine.v1.Refinements/CreateRefinement',
             refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.SerializeToString,
             refine__proto_dot_v1_dot_refine__pb2.Refinement.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ValidateRefinement(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_unary(
+            request_iterator,
+            target,
+            '/refine.v1.Refinements/ValidateRefinement',
+            refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.SerializeToString,
+            refine__proto_dot_v1_dot_refine__pb2.Validation.FromString,
             options,
             channel_credentials,
             insecure,

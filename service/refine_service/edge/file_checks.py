@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from refine_proto import formats
+from typing import BinaryIO
+
+from refine_proto import formats, images
 from refine_proto.errors import CameraInvalid, FormatUnsupported, InvalidInput, MeshInvalid, SilhouetteInvalid
 from refine_proto.formats import MeshFormat
 from refine_proto.models import CameraSpec, FieldError, MatrixCamera
@@ -18,23 +20,23 @@ def recognise_mesh(head: bytes, filename: str | None, given: MeshFormat | None) 
         raise _of("mesh", MeshInvalid, str(error)) from None
 
 
-def silhouette_size(head: bytes) -> tuple[int, int]:
-    """`formats.png_size`; raises SilhouetteInvalid or FormatUnsupported."""
+def image_size(file: BinaryIO, part: str) -> tuple[int, int]:
+    """Width and height of an image as it is shown; raises SilhouetteInvalid or FormatUnsupported."""
     try:
-        return formats.png_size(head)
+        return images.read_image_header(file).size
     except formats.Unsupported as error:
-        raise _of("silhouette", FormatUnsupported, str(error)) from None
+        raise _of(part, FormatUnsupported, str(error)) from None
     except formats.Damaged as error:
-        raise _of("silhouette", SilhouetteInvalid, str(error)) from None
+        raise _of(part, SilhouetteInvalid, str(error)) from None
 
 
-def check_camera_size(camera: CameraSpec, width: int, height: int) -> None:
-    """Raise CameraInvalid if the camera says that it belongs to an image of another size."""
+def check_camera_size(camera: CameraSpec, place: str, width: int, height: int) -> None:
+    """Raise CameraInvalid if the camera at `place` says that it belongs to an image of another size."""
     if isinstance(camera, MatrixCamera) and camera.intrinsics is not None:
         try:
             camera.intrinsics.check_size(width, height)
         except ValueError as error:
-            raise _of("camera/intrinsics", CameraInvalid, str(error)) from None
+            raise _of(f"{place}/intrinsics", CameraInvalid, str(error)) from None
 
 
 def _of(part: str, error: type[InvalidInput], detail: str) -> InvalidInput:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from typing import BinaryIO, cast
 
@@ -18,15 +18,21 @@ from starlette.datastructures import UploadFile
 from refine_jobs import keys
 from refine_jobs.blobs import Blob
 from refine_jobs.edge_store import Submitted
-from refine_jobs.record import Submission
-from refine_proto.errors import PayloadTooLarge, Unavailable, UploadTimeout, check_idempotency_key
-from refine_proto.formats import HEAD_BYTES
-from refine_proto.models import FieldError, RefinementSpec
+from refine_jobs.record import Submission, Task
+from refine_proto.errors import (
+    PayloadTooLarge,
+    Unavailable,
+    UploadTimeout,
+    check_idempotency_key,
+    from_validation,
+)
+from refine_proto.formats import HEAD_BYTES, IGNORE, MESH, SILHOUETTE, of_view
+from refine_proto.models import CameraSpec, FieldError, RefinementSpec
 
 from ..settings import ServiceSettings
 from .call import Call
 from .edge import Edge
-from .file_checks import check_camera_size, recognise_mesh, silhouette_size
+from .file_checks import check_camera_size, image_size, recognise_mesh
 
 _MEMORY_BYTES = 2**20  # a larger file waits on disk
 _CHUNK_BYTES = 2**20
@@ -37,13 +43,19 @@ class Upload:
     """A submission as it was read: the files are rewound and belong to this object."""
 
     spec: RefinementSpec
-    mesh: UploadFile
-    silhouette: UploadFile
+    files: Mapping[
+        str, UploadFile
+    ]  # by their names in the request: mesh, silhouette, ignore, silhouette_2, ...
 
     async def aclose(self) -> None:
         """Remove the temporary files."""
-        await self.mesh.close()
-        await self.silhouette.close()
+        for file in self.files.values():
+            await file.close()
+
+    @property
+    def cameras(self) -> list[CameraSpec]:
+        """Of all views, the first included."""
+        return [self.spec.camera, *(view.camera for view in self.spec.views)]
 
 
 def new_file() -> UploadFile:
@@ -51,15 +63,19 @@ def new_file() -> UploadFile:
     return UploadFile(cast(BinaryIO, tempfile.SpooledTemporaryFile(max_size=_MEMORY_BYTES)), size=0)
 
 
-async def submit(edge: Edge, call: Call, upload: Upload, idempotency_key: str | None) -> Submitted:
+async def submit(
+    edge: Edge, call: Call, upload: Upload, idempotency_key: str | None, task: Task = Task.REFINE
+) -> Submitted:
     """Check, store and submit."""
     spec = edge.store.check_options(await _checked(upload, edge.settings))
     if idempotency_key is not None:
         check_idempotency_key(idempotency_key)
     call.job_id = await edge.store.begin_upload(call.owner)
     try:
-        mesh = await _store(edge, keys.input_blob(call.job_id, keys.MESH), upload.mesh)
-        silhouette = await _store(edge, keys.input_blob(call.job_id, keys.SILHOUETTE), upload.silhouette)
+        blobs = {
+            name: await _store(edge, keys.input_blob(call.job_id, name), file)
+            for name, file in upload.files.items()
+        }
     except BaseException:  # also when the caller has gone
         await asyncio.shield(edge.store.discard_upload(call.job_id))
         raise
@@ -68,8 +84,10 @@ async def submit(edge: Edge, call: Call, upload: Upload, idempotency_key: str | 
             id=call.job_id,
             owner=call.owner,
             spec=spec,
-            mesh=mesh,
-            silhouette=silhouette,
+            task=task,
+            mesh=blobs.pop(MESH),
+            silhouette=blobs.pop(SILHOUETTE),
+            more_files=blobs,
             idempotency_key=idempotency_key,
             request_id=call.request_id,
             traceparent=call.traceparent,
@@ -80,16 +98,34 @@ async def submit(edge: Edge, call: Call, upload: Upload, idempotency_key: str | 
 
 
 async def _checked(upload: Upload, settings: ServiceSettings) -> RefinementSpec:
-    """The spec with the format of the mesh, after all checks that need only the first bytes."""
-    check_size("mesh", upload.mesh.size or 0, settings.max_mesh_bytes)
-    check_size("silhouette", upload.silhouette.size or 0, settings.max_silhouette_bytes)
-    mesh_format = recognise_mesh(await _head(upload.mesh), upload.mesh.filename, upload.spec.mesh_format)
-    check_camera_size(upload.spec.camera, *silhouette_size(await _head(upload.silhouette)))
+    """The spec with the format of the mesh, after all checks that need only the files' headers."""
+    _check_parts(upload)
+    mesh, images = upload.files[MESH], {name: file for name, file in upload.files.items() if name != MESH}
+    check_size(MESH, mesh.size or 0, settings.max_mesh_bytes)
+    check_size(SILHOUETTE, sum(file.size or 0 for file in images.values()), settings.max_silhouette_bytes)
+    mesh_format = recognise_mesh(await _head(mesh), mesh.filename, upload.spec.mesh_format)
+    sizes = {name: image_size(file.file, name) for name, file in images.items()}
+    for number, camera in enumerate(upload.cameras, 1):
+        place = "camera" if number == 1 else f"views/{number - 2}/camera"
+        check_camera_size(camera, place, *sizes[of_view(SILHOUETTE, number)])
     return upload.spec.model_copy(update={"mesh_format": mesh_format})
 
 
+def _check_parts(upload: Upload) -> None:
+    """Raise InvalidInput unless every view, and no other, has a silhouette."""
+    views = range(1, len(upload.cameras) + 1)
+    wanted = {MESH, *(of_view(SILHOUETTE, number) for number in views)}
+    allowed = wanted | {of_view(IGNORE, number) for number in views}
+    given = set(upload.files)
+    missing, surplus = sorted(wanted - given), sorted(given - allowed)
+    if missing or surplus:
+        no_view = f"expected no file of this name, got one: `views` has {len(views) - 1} further cameras"
+        told = [*((name, "expected a file, got none") for name in missing), *((n, no_view) for n in surplus)]
+        raise from_validation([{"loc": (name,), "msg": message} for name, message in told])
+
+
 def check_size(part: str, size_bytes: int, limit_bytes: int) -> None:
-    """Raise PayloadTooLarge if a file is too large or announced to be."""
+    """Raise PayloadTooLarge if the mesh, or all images together, are too large or announced to be."""
     if size_bytes > limit_bytes:
         detail = f"expected a {part} of at most {limit_bytes} bytes, got more"
         raise PayloadTooLarge(detail, errors=[FieldError(pointer=f"/{part}", detail=detail)])

@@ -13,14 +13,15 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.types import Message
 
 from refine_proto.errors import FormatUnsupported, PayloadTooLarge, from_validation
-from refine_proto.models import RefinementRequest, RefinementSpec
+from refine_proto.formats import IGNORE, IMAGE_PARTS, MESH, SILHOUETTE, of_view
+from refine_proto.models import RefinementRequest, RefinementSpec, View
 
 from ..edge.submit import Upload, took_too_long
 from ..settings import ServiceSettings
 
-_FILES = ("mesh", "silhouette")
-_JSON_FIELDS = ("camera", "options")
-_MAX_FIELDS = 16  # more than there are: an unknown one is named, not counted
+_FILES = (MESH, *IMAGE_PARTS)
+_JSON_FIELDS = ("camera", "options", "views")
+_MAX_FIELDS = 32  # more than there are: an unknown one is named, not counted
 _FIELD_BYTES = 64 * 1024
 _FRAMING_BYTES = 2**20  # of a multipart body around its files
 
@@ -47,8 +48,8 @@ async def _read_multipart(request: Request, settings: ServiceSettings) -> Upload
         max_files=_MAX_FIELDS, max_fields=_MAX_FIELDS, max_part_size=_FIELD_BYTES
     )
     try:
-        files = [_file(form, name) for name in _FILES]
-        return Upload(await _spec(form), *files)
+        files = {name: _file(form, name) for name in _FILES if name in form or name in (MESH, SILHOUETTE)}
+        return Upload(await _spec(form), files)
     except BaseException:
         await form.close()
         raise
@@ -103,9 +104,19 @@ async def _read_json(request: Request, settings: ServiceSettings) -> Upload:
         body = RefinementRequest.model_validate_json(await _limited(request, settings.max_json_bytes).body())
     except ValidationError as error:
         raise from_validation(error.errors()) from None
-    spec = RefinementSpec(camera=body.camera, options=body.options, mesh_format=body.mesh_format)
-    mesh, silhouette = (UploadFile(io.BytesIO(data), size=len(data)) for data in (body.mesh, body.silhouette))
-    return Upload(spec, mesh, silhouette)
+    spec = RefinementSpec(
+        camera=body.camera,
+        options=body.options,
+        mesh_format=body.mesh_format,
+        views=[View(camera=view.camera) for view in body.views],
+    )
+    images = {
+        of_view(part, number): getattr(view, part)
+        for number, view in enumerate((body, *body.views), 1)
+        for part in (SILHOUETTE, IGNORE)
+    }
+    files = {MESH: body.mesh, **{name: data for name, data in images.items() if data is not None}}
+    return Upload(spec, {name: UploadFile(io.BytesIO(data), size=len(data)) for name, data in files.items()})
 
 
 def _limited(request: Request, limit_bytes: int) -> Request:

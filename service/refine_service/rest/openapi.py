@@ -11,12 +11,13 @@ from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
 from refine_proto.errors import TABLE, error_class
-from refine_proto.formats import ARTIFACTS, SILHOUETTE_THRESHOLD, ArtifactName
-from refine_proto.models import Event, ProblemDetails, Refinement, RefinementRequest
+from refine_proto.formats import ARTIFACTS, IMAGE_PARTS, SILHOUETTE_THRESHOLD, ArtifactName
+from refine_proto.models import Event, ProblemDetails, Refinement, RefinementRequest, View
 
 _REFERENCE = "#/components/schemas/{model}"
 _MODELS: list[tuple[type[BaseModel], JsonSchemaMode]] = [
     (RefinementRequest, "validation"),
+    (View, "validation"),
     (Refinement, "serialization"),
     (Event, "serialization"),
     (ProblemDetails, "serialization"),
@@ -67,6 +68,8 @@ _QUEUED = {
     "queue_position": 0,
     "attempt": 0,
 }
+_IMAGE = "The silhouette: a PNG, JPEG, WebP, TIFF or BMP file."
+_UNKNOWN = "An image of the same size: where it shows an object, nothing is known."
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
@@ -118,17 +121,21 @@ CREATE_BODY: dict[str, Any] = {
                 "additionalProperties": False,
                 "properties": {
                     "mesh": {"type": "string", "format": "binary", "description": "The coarse mesh file."},
-                    "silhouette": {"type": "string", "format": "binary", "description": "A PNG file."},
+                    "silhouette": {"type": "string", "format": "binary", "description": _IMAGE},
+                    "ignore": {"type": "string", "format": "binary", "description": _UNKNOWN},
                     "camera": {"$ref": f"{_of(RefinementRequest)['$ref']}/properties/camera"},
                     "options": {"$ref": _REFERENCE.format(model="RefinementOptions")},
                     "mesh_format": {"$ref": _REFERENCE.format(model="MeshFormat")},
+                    "views": {"type": "array", "items": {"$ref": _REFERENCE.format(model="View")}},
+                    **{name: {"type": "string", "format": "binary"} for name in IMAGE_PARTS[2:]},
                 },
             },
             "encoding": {
                 "mesh": {"contentType": "application/octet-stream"},
-                "silhouette": {"contentType": "image/png"},
+                "silhouette": {"contentType": "image/png, image/jpeg, image/webp, image/tiff, image/bmp"},
                 "camera": {"contentType": "application/json"},
                 "options": {"contentType": "application/json"},
+                "views": {"contentType": "application/json"},
             },
             "example": {"mesh": "(file)", "silhouette": "(file)", "camera": _CAMERA, "options": _OPTIONS},
         },

@@ -9,11 +9,13 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
+from refine_jobs.record import Task
 from refine_proto.errors import Conflict, from_problem
 from refine_proto.formats import ARTIFACTS, ArtifactName
-from refine_proto.models import Refinement, RefinementPage, State
+from refine_proto.models import Refinement, RefinementPage, State, Validation
 
 from ..edge.artifacts import find_artifact
+from ..edge.ask import ask
 from ..edge.edge import COLLECTION, Edge, with_urls
 from ..edge.follow import wait_for_end
 from ..edge.submit import submit
@@ -62,6 +64,19 @@ async def create_refinement(
             return await _refined_mesh(edge, refinement, headers)
     status = 200 if wanted and refinement.state.terminal else 202
     return Response(refinement.model_dump_json(), status, headers, "application/json")
+
+
+@router.post(
+    ":validate",
+    response_model=Validation,
+    responses=problems(401, 413, 415, 422, 429, 500, 503, 504),
+    openapi_extra={"requestBody": CREATE_BODY},
+)
+async def validate_refinement(request: Request, edge: EdgeHere, call: CallHere) -> Validation:
+    """Say what looks wrong with a mesh, its silhouette and the camera. Nothing is refined or kept."""
+    edge.check_not_draining()
+    async with aclosing(await read_body(request, edge.settings)) as upload:
+        return Validation.model_validate(await ask(edge, call, upload, Task.VALIDATE))
 
 
 async def _refined_mesh(edge: Edge, refinement: Refinement, headers: dict[str, str]) -> Response:

@@ -6,9 +6,11 @@ import asyncio
 from collections.abc import AsyncIterator
 
 from pydantic import ValidationError
+from starlette.datastructures import UploadFile
 
 from refine_proto.convert import to_model
 from refine_proto.errors import InvalidInput, from_validation
+from refine_proto.formats import IMAGE_PARTS, MESH, SILHOUETTE
 from refine_proto.models import RefinementSpec
 from refine_proto.v1 import refine_pb2 as pb
 
@@ -24,9 +26,9 @@ async def read_messages(
         async with asyncio.timeout(settings.upload_timeout_s):
             header = await _header(messages, settings)
             spec = _spec(header)
-            upload = Upload(spec, new_file(), new_file())
+            upload = Upload(spec, files := {MESH: new_file(), SILHOUETTE: new_file()})
             try:
-                await _fill(upload, messages, settings)
+                await _fill(files, messages, settings)
             except BaseException:
                 await upload.aclose()
                 raise
@@ -42,8 +44,8 @@ async def _header(
     part = first.WhichOneof("part") if first is not None else None
     if first is None or part != "header":
         raise InvalidInput(f"expected the header as the first message, got {part or 'none'}")
-    check_size("mesh", first.header.mesh_bytes, settings.max_mesh_bytes)
-    check_size("silhouette", first.header.silhouette_bytes, settings.max_silhouette_bytes)
+    check_size(MESH, first.header.mesh_bytes, settings.max_mesh_bytes)
+    check_size(SILHOUETTE, first.header.silhouette_bytes, settings.max_silhouette_bytes)
     return first.header
 
 
@@ -55,19 +57,39 @@ def _spec(header: pb.CreateRefinementRequest.Header) -> RefinementSpec:
 
 
 async def _fill(
-    upload: Upload, messages: AsyncIterator[pb.CreateRefinementRequest], settings: ServiceSettings
+    files: dict[str, UploadFile],
+    messages: AsyncIterator[pb.CreateRefinementRequest],
+    settings: ServiceSettings,
 ) -> None:
-    parts = {
-        "mesh_chunk": ("mesh", upload.mesh, settings.max_mesh_bytes),
-        "silhouette_chunk": ("silhouette", upload.silhouette, settings.max_silhouette_bytes),
-    }
+    image_bytes = 0
     async for message in messages:
-        part = message.WhichOneof("part") or "none"
-        if part not in parts:
-            raise InvalidInput(f"expected a chunk of the mesh or the silhouette after the header, got {part}")
-        name, file, limit_bytes = parts[part]
-        chunk = getattr(message, part)
-        check_size(name, (file.size or 0) + len(chunk), limit_bytes)
+        name, chunk = _chunk(message)
+        if name not in files:
+            files[name] = new_file()
+        file = files[name]
+        if name == MESH:
+            check_size(MESH, (file.size or 0) + len(chunk), settings.max_mesh_bytes)
+        else:
+            image_bytes += len(chunk)
+            check_size(SILHOUETTE, image_bytes, settings.max_silhouette_bytes)
         await file.write(chunk)
-    for _, file, _ in parts.values():
+    for file in files.values():
         await file.seek(0)
+
+
+def _chunk(message: pb.CreateRefinementRequest) -> tuple[str, bytes]:
+    """The name of a file and some of its bytes."""
+    match message.WhichOneof("part"):
+        case "mesh_chunk":
+            return MESH, message.mesh_chunk
+        case "silhouette_chunk":
+            return SILHOUETTE, message.silhouette_chunk
+        case "file_chunk" if message.file_chunk.part in IMAGE_PARTS:
+            return message.file_chunk.part, message.file_chunk.data
+        case "file_chunk":
+            raise InvalidInput(
+                f"expected a file_chunk with one of the parts {', '.join(IMAGE_PARTS)}, "
+                f"got {message.file_chunk.part[:40]!r}"
+            )
+        case part:
+            raise InvalidInput(f"expected a chunk of a file after the header, got {part or 'none'}")

@@ -7,13 +7,15 @@ from contextlib import aclosing
 
 from google.protobuf.empty_pb2 import Empty
 
+from refine_jobs.record import Task
 from refine_proto.convert import to_message
 from refine_proto.errors import InvalidInput, RangeNotSatisfiable
-from refine_proto.models import FieldError
+from refine_proto.models import FieldError, Validation
 from refine_proto.v1 import refine_pb2 as pb
 from refine_proto.v1.refine_pb2_grpc import RefinementsServicer
 
 from ..edge.artifacts import find_artifact, open_artifact
+from ..edge.ask import ask
 from ..edge.call import CALL, Call
 from ..edge.edge import Edge, with_urls
 from ..edge.follow import follow
@@ -44,6 +46,17 @@ class Refinements(RefinementsServicer):
         if submitted.replayed:
             context.set_trailing_metadata((("idempotency-replayed", "true"),))
         return to_message(with_urls(submitted.refinement), pb.Refinement)
+
+    async def ValidateRefinement(
+        self, request_iterator: AsyncIterator[pb.CreateRefinementRequest], context: RpcContext
+    ) -> pb.Validation:
+        """Header, then chunks; its request id means nothing here."""
+        edge = self._edge
+        edge.check_not_draining()
+        _, upload = await read_messages(request_iterator, edge.settings)
+        async with aclosing(upload):
+            answer = await ask(edge, CALL.get(), upload, Task.VALIDATE)
+        return to_message(Validation.model_validate(answer), pb.Validation)
 
     async def GetRefinement(self, request: pb.GetRefinementRequest, context: RpcContext) -> pb.Refinement:
         """One refinement."""

@@ -12,7 +12,7 @@ import httpx
 import pytest
 from service_process import CAMERA, MESH, PNG, Hand, Service, png
 
-from refine_client import RefineClient
+from refine_client import RefineClient, View
 from refine_jobs import keys
 from refine_proto.errors import (
     CameraInvalid,
@@ -81,6 +81,92 @@ def test_both_transports_make_the_same_job(service: Service, hand: Hand) -> None
         jobs.append(hand.start(sent.id))
     first, second = jobs
     assert (first.spec, first.mesh, first.silhouette) == (second.spec, second.mesh, second.silhouette)
+
+
+SIDE = {**CAMERA, "azimuth_degrees": 120}
+VIEWS = [View(png(16, 8), SIDE, png(16, 8)), View(PNG, SIDE)]
+IMAGES = {
+    "silhouette": PNG,
+    "ignore": PNG,
+    "silhouette_2": png(16, 8),
+    "ignore_2": png(16, 8),
+    "silhouette_3": PNG,
+}
+
+
+def test_several_views_reach_the_worker_over_every_way(
+    service: Service, rest: httpx.Client, hand: Hand
+) -> None:
+    """JSON, REST's and gRPC's parts: the same files by the same names, the same spec."""
+    encoded = {name: base64.b64encode(data).decode() for name, data in {**IMAGES, "mesh": MESH}.items()}
+    views = [
+        {"camera": SIDE, "silhouette": encoded["silhouette_2"], "ignore": encoded["ignore_2"]},
+        {"camera": SIDE, "silhouette": encoded["silhouette_3"]},
+    ]
+    first = {name: encoded[name] for name in ("mesh", "silhouette", "ignore")}
+    body = {**first, "camera": CAMERA, "mesh_format": "obj", "views": views}
+    ids = [rest.post("/v1/refinements", json=body).json()["id"]]
+    for transport in ("rest", "grpc"):
+        with service.client(transport) as client:
+            ids.append(client.submit(MESH, PNG, CAMERA, mesh_format="obj", ignore=PNG, views=VIEWS).id)
+    jobs = [hand.start(job_id) for job_id in ids]
+    for job in jobs:
+        assert job.spec == jobs[0].spec
+        assert [view["camera"]["azimuth_degrees"] for view in job.spec["views"]] == [120, 120]
+        assert set(job.more_files) == set(IMAGES) - {"silhouette"}
+        for name, data in IMAGES.items():
+            assert hand.blobs.get(keys.input_blob(job.id, name)) == data
+
+
+def test_an_idempotency_key_covers_all_files(client: RefineClient) -> None:
+    def submit(views: list[View], ignore: bytes | None = None) -> Refinement:
+        return client.submit(
+            MESH, PNG, CAMERA, mesh_format="obj", idempotency_key="k", ignore=ignore, views=views
+        )
+
+    first = submit(VIEWS)
+    assert submit(VIEWS).id == first.id
+    with pytest.raises(IdempotencyKeyReused):
+        submit([VIEWS[0], View(png(9, 9), SIDE)])
+    with pytest.raises(IdempotencyKeyReused):
+        submit(VIEWS, ignore=PNG)
+
+
+@pytest.mark.parametrize(
+    ("views", "error", "pointer"),
+    [
+        ([View(b"GIF89a", CAMERA)], FormatUnsupported, "/silhouette_2"),
+        ([View(PNG, CAMERA), View(PNG, CAMERA, PNG[:20])], SilhouetteInvalid, "/ignore_3"),
+        ([View(PNG, MATRIX)], CameraInvalid, "/views/0/camera/intrinsics"),
+    ],
+)
+def test_bad_content_of_a_further_view_is_told_alike(
+    client: RefineClient, views: list[View], error: type[RefineError], pointer: str
+) -> None:
+    with pytest.raises(error) as caught:
+        client.submit(MESH, PNG, CAMERA, mesh_format="obj", views=views)
+    assert [field.pointer for field in caught.value.errors] == [pointer]
+
+
+@pytest.mark.parametrize(
+    ("parts", "says"),
+    [
+        (
+            {"silhouette_2": PNG},
+            "/silhouette_2: expected no file of this name, got one: `views` has 0 further",
+        ),
+        (
+            {"ignore_2": PNG, "views": (None, json.dumps([{"camera": CAMERA}]))},
+            "/silhouette_2: expected a file",
+        ),
+        ({"views": (None, json.dumps([{"camera": {}}]))}, "/views/0/camera: expected"),
+        ({"silhouette_9": PNG}, "/silhouette_9: unknown field"),
+    ],
+)
+def test_parts_and_views_that_do_not_fit(rest: httpx.Client, parts: dict[str, Any], says: str) -> None:
+    answer = rest.post("/v1/refinements", files=multipart(**parts))
+    assert answer.status_code == 422
+    assert says in answer.json()["detail"]
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from refine_jobs.edge_store import JobStore
 from refine_jobs.embedded import EmbeddedRedis
 from refine_jobs.health import Health
 from refine_jobs.reaper import reap
-from refine_jobs.record import Job, Submission
+from refine_jobs.record import Job, Submission, Task
 from refine_jobs.redis_server import connect, connect_async
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState, SlotStatus
@@ -64,7 +64,7 @@ class Workplace:
         self.store = WorkerStore(self.redis, self.settings)
         self.blobs = BlobStore(self.settings.blob_location)
 
-    def submit(self, mesh: bytes | None = None, **options: Any) -> str:
+    def submit(self, mesh: bytes | None = None, task: Task = Task.REFINE, **options: Any) -> str:
         """Queue the sample chair, or another OBJ; the id."""
         spec = RefinementSpec.model_validate(
             {
@@ -83,6 +83,7 @@ class Workplace:
                     id=job_id,
                     owner="ann",
                     spec=spec,
+                    task=task,
                     mesh=self.blobs.put(keys.input_blob(job_id, keys.MESH), mesh or COARSE),
                     silhouette=self.blobs.put(keys.input_blob(job_id, keys.SILHOUETTE), silhouette),
                     request_id=self.REQUEST_ID,

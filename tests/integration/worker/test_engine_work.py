@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import json
 import math
 import threading
@@ -11,10 +12,13 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 from pydantic import ValidationError
 
+from refine_engine.errors import SilhouetteInvalid
 from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
@@ -116,3 +120,33 @@ def test_no_message_carries_what_is_no_number(number: float) -> None:
         models.Progress(iteration=1, total=2, percent=50, silhouette_iou=number)
     with pytest.raises(ValidationError, match="finite"):
         Ready(seconds=number)
+
+
+def test_all_views_and_what_is_unknown_reach_the_engine(
+    blobs: BlobStore, pipe: tuple[Connection, Connection]
+) -> None:
+    """A second silhouette of another size is read, and its ignore mask is for it alone."""
+    image = io.BytesIO()
+    Image.new("L", (64, 64)).save(image, "PNG")
+    silhouette = (SAMPLE / "silhouette.png").read_bytes()
+    camera = json.loads((SAMPLE / "camera.json").read_text())
+    for name, data in {"silhouette_2": silhouette, "ignore_2": image.getvalue()}.items():
+        blobs.put(keys.input_blob("job", name), data)
+    told_run = run("job")
+    spec = {**told_run.spec, "views": [{"camera": camera}]}
+    more = told_run.model_copy(update={"spec": spec, "more_files": ("silhouette_2", "ignore_2")})
+    with pytest.raises(
+        SilhouetteInvalid, match="view 2: expected an ignore mask of the silhouette's size 224x224"
+    ):
+        Refinery(blobs, torch.device("cpu"), 2**32).refine(more, lambda _: None, lambda: False)
+    blobs.put(keys.input_blob("job", "ignore_2"), _half_known())
+    done = Refinery(blobs, torch.device("cpu"), 2**32).refine(more, lambda _: None, lambda: False)
+    assert {artifact.name for artifact in done.artifacts} >= {"refined.glb", "report.json"}
+
+
+def _half_known() -> bytes:
+    pixels = np.zeros((224, 224), np.uint8)
+    pixels[:112] = 255
+    image = io.BytesIO()
+    Image.fromarray(pixels).save(image, "PNG")
+    return image.getvalue()

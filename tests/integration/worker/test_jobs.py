@@ -13,11 +13,11 @@ from rq.job import Job as RqJob
 from rq.serializers import JSONSerializer
 
 from refine_jobs import delivery, keys
-from refine_jobs.record import decode_event
+from refine_jobs.record import Task, decode_event
 from refine_jobs.redis_server import connect_for_rq
 from refine_jobs.slots import SlotState
 from refine_proto.formats import ARTIFACTS
-from refine_proto.models import EventType, State
+from refine_proto.models import EventType, State, Validation
 
 if TYPE_CHECKING:
     from refine_jobs.record import Job
@@ -110,6 +110,32 @@ def test_a_bad_mesh_fails_with_the_engines_reason(
 ) -> None:
     before = worker.engine_pids()
     assert "expected" in assert_fails(workplace, workplace.submit(mesh), reason)
+    assert worker.engine_pids() == before
+
+
+def test_what_looks_wrong_is_told_and_refused_if_that_was_asked_for(
+    worker: Worker, workplace: Workplace
+) -> None:
+    askew = [1.0, 1.0, 0.0]
+    job = assert_succeeds(workplace, workplace.submit(iterations=4, symmetry_normal=askew))
+    (finding,) = job.refinement().checks
+    assert (finding.code, finding.severity) == ("SYMMETRY_ELSEWHERE", "warning")
+    strict = workplace.submit(iterations=4, symmetry_normal=askew, checks="strict")
+    assert assert_fails(workplace, strict, "OPTIONS_INVALID").startswith(finding.message)
+    unchecked = workplace.submit(iterations=4, symmetry_normal=askew, checks="off")
+    assert assert_succeeds(workplace, unchecked).checks == ()
+
+
+def test_a_question_is_answered_by_the_warm_engine(worker: Worker, workplace: Workplace) -> None:
+    """Also where a refinement would be refused; what cannot be read fails as it would."""
+    before = worker.engine_pids()
+    question = workplace.submit(task=Task.VALIDATE, symmetry_normal=[1.0, 1.0, 0.0], checks="strict")
+    job = assert_succeeds(workplace, question)
+    validation = Validation.model_validate(job.answer)
+    assert not validation.accepted
+    assert [finding.code for finding in validation.checks] == ["SYMMETRY_ELSEWHERE"]
+    assert 0.5 < validation.silhouette_iou < 0.9
+    assert_fails(workplace, workplace.submit(b"v 0 0 0\nf 1 1 1\n", task=Task.VALIDATE), "MESH_INVALID")
     assert worker.engine_pids() == before
 
 

@@ -23,12 +23,15 @@ from refine_client.commands.refinements import (
     list_command,
 )
 from refine_client.commands.submit import submit_command
+from refine_client.commands.validate import validate_command
 from refine_client.commands.watch import watch_command
 from refine_proto import errors
-from refine_proto.models import Event, Refinement, State
+from refine_proto.checks import Code
+from refine_proto.models import Event, Finding, Refinement, Severity, State, Validation
 
 COMMANDS = [
     submit_command,
+    validate_command,
     get_command,
     list_command,
     watch_command,
@@ -62,6 +65,22 @@ def test_submit_prints_the_id(submission: list[str], script: Script, capsys: Out
     assert script.calls[0].authorization == "Bearer key-1"
 
 
+def test_validate_prints_what_looks_wrong(submission: list[str], script: Script, capsys: Output) -> None:
+    assert validate_command([*submission, "--checks", "strict", "--mesh-format", "obj"]) == 0
+    printed, shown = capsys.readouterr()
+    assert shown == ""
+    assert printed.splitlines() == [
+        "can be refined, 2D IoU 0.300",
+        "warning LOW_OVERLAP: expected more",
+        "warning: 2 of 9 triangles",
+    ]
+    assert script.uploads[""]["options"]["checks"] == "strict"
+    script.severity = Severity.REFUSED
+    assert validate_command([*submission, "--json"]) == 2
+    validation = Validation.model_validate_json(capsys.readouterr().out)
+    assert (validation.accepted, validation.checks[0].severity) == (False, Severity.REFUSED)
+
+
 def test_submit_wait_and_download(
     submission: list[str], script: Script, tmp_path: Path, capsys: Output
 ) -> None:
@@ -76,6 +95,12 @@ def test_submit_wait_and_download(
     assert lines[1:3] == ["queued", "running"]
     assert lines[3] == f"iteration 1/{STEPS}  0 s left  loss 1.500  2D IoU 0.750"
     assert lines[-1] == "succeeded"
+
+
+def test_submit_wait_tells_what_looked_wrong(submission: list[str], script: Script, capsys: Output) -> None:
+    script.checks = [Finding(code=Code.LOW_OVERLAP, severity=Severity.WARNING, message="expected more")]
+    assert submit_command([*submission, "--wait"]) == 0
+    assert capsys.readouterr().err.splitlines()[-1] == "warning: expected more"
 
 
 def test_submit_json_is_events_and_artifacts(
@@ -252,3 +277,72 @@ def test_help_teaches(command: Any, capsys: Output) -> None:
     assert f"  refine {name}" in shown.partition("example\n")[2]
     assert "REFINE_SERVER" in shown
     assert "exit codes" in shown
+
+
+def test_submit_sends_views_and_what_is_unknown(
+    submission: list[str], script: Script, tmp_path: Path
+) -> None:
+    camera = submission[-1]
+    for name in ("side.png", "hand.png", "hair.png"):
+        (tmp_path / name).write_bytes(name.encode())
+    side, hand, hair = (str(tmp_path / name) for name in ("side.png", "hand.png", "hair.png"))
+    more = ["--ignore", hair, "--view", side, camera, hand, "--view", side, camera, "--ignore-grey", "128"]
+    assert submit_command([*submission, *more]) == 0
+    (upload,) = script.uploads.values()
+    sent = [upload[name] for name in ("ignore", "silhouette_2", "ignore_2", "silhouette_3")]
+    assert sent == [b"hair.png", b"side.png", b"hand.png", b"side.png"]
+    assert (len(upload["views"]), upload["options"]["ignore_grey"]) == (2, 128)
+
+
+@pytest.mark.parametrize(
+    ("views", "says"),
+    [
+        ([["side.png"]], "expected --view SILHOUETTE CAMERA.json [IGNORE], got 1 file: side.png"),
+        ([["a", "b", "c", "d"]], "got 4 files: a b c d"),
+        ([["side.png", "camera.json"]] * 8, "expected at most 8 views, got 9"),
+    ],
+)
+def test_views_that_cannot_be(
+    submission: list[str], script: Script, capsys: Output, views: list[list[str]], says: str
+) -> None:
+    more = [word for paths in views for word in ("--view", *paths)]
+    assert submit_command([*submission, *more]) == 2
+    assert says in capsys.readouterr().err
+    assert script.calls == []
+
+
+def test_submit_takes_a_frame_of_transforms_json(
+    submission: list[str], script: Script, tmp_path: Path
+) -> None:
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
+    frames = [{"file_path": f"./{name}", "transform_matrix": pose} for name in ("r_0", "r_1")]
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.5, "frames": frames}))
+    assert submit_command([*submission[:-1], f"{tmp_path}/transforms.json#r_1"]) == 0
+    (upload,) = script.uploads.values()
+    assert upload["camera"]["convention"] == "opengl"
+    assert upload["camera"]["fov_x_degrees"] == pytest.approx(28.6479, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("camera", "says"),
+    [
+        ("transforms.json", "expected one camera as"),
+        ("missing.json#r_0", "missing.json"),
+        ("missing.json", "missing.json"),
+    ],
+)
+def test_camera_files_that_name_no_camera(
+    submission: list[str], script: Script, tmp_path: Path, capsys: Output, camera: str, says: str
+) -> None:
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": []}))
+    assert submit_command([*submission[:-1], f"{tmp_path}/{camera}"]) == 2
+    assert says in capsys.readouterr().err
+    assert script.calls == []
+
+
+def test_a_bad_camera_of_a_view_is_told_where_it_is(
+    submission: list[str], tmp_path: Path, capsys: Output
+) -> None:
+    (tmp_path / "bad.json").write_text(json.dumps({"type": "look_at"}))
+    assert submit_command([*submission, "--view", submission[1], f"{tmp_path}/bad.json"]) == 2
+    assert "/views/0/camera/azimuth_degrees: expected this required field" in capsys.readouterr().err

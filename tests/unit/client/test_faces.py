@@ -11,7 +11,7 @@ import pytest
 from faces import Face
 from server_double import ARTIFACTS, STEPS, Script
 
-from refine_client import AsyncRefineClient, ConnectionLost, RefineClient, RetryPolicy
+from refine_client import AsyncRefineClient, ConnectionLost, RefineClient, RetryPolicy, View
 from refine_proto import errors
 from refine_proto.errors import RefineError
 from refine_proto.models import EventType, FieldError, Progress, State
@@ -29,7 +29,7 @@ def test_submit_sends_everything(
     upload = script.uploads["key-of-mine"]
     assert upload["mesh"] == mesh.read_bytes()
     assert upload["silhouette"] == silhouette.read_bytes()
-    assert upload["camera"] == {**camera, "fov_y_degrees": 60}
+    assert upload["camera"] == {**camera, "fov_y_degrees": 60, "roll_degrees": 0}
     assert upload["options"]["preset"] == "fast"
     assert upload["mesh_format"] == "obj"
     (call,) = script.calls
@@ -42,6 +42,42 @@ def test_submit_takes_contents_too(face: Face, script: Script, camera: Camera) -
     (upload,) = script.uploads.values()
     assert (upload["mesh"], upload["silhouette"]) == (b"glTF...", b"png")
     assert "mesh_format" not in upload
+
+
+def test_validate_sends_the_same_and_gets_what_looks_wrong(
+    face: Face, script: Script, mesh: Path, silhouette: Path, camera: Camera
+) -> None:
+    script.failures = [errors.Unavailable("all slots are busy", retry_after_s=0.01)]
+    validation = face.call("validate", mesh, silhouette, camera, {"checks": "strict"})
+    assert (validation.accepted, validation.silhouette_iou) == (True, 0.3)
+    assert validation.warnings == ["2 of 9 triangles", "expected more"]
+    assert [finding.code for finding in validation.checks] == ["LOW_OVERLAP"]
+    upload = script.uploads[""]
+    assert (upload["mesh"], upload["mesh_format"]) == (mesh.read_bytes(), "obj")
+    assert upload["options"]["checks"] == "strict"
+    assert [call.name for call in script.calls] == ["validate", "validate"]  # retried while busy
+
+
+def test_submit_sends_further_views(face: Face, script: Script, silhouette: Path, camera: Camera) -> None:
+    side = camera | {"azimuth_degrees": -80}
+    views = [View(b"side", side, b"hand"), View(silhouette, camera)]
+    face.call("submit", b"mesh", b"front", camera, ignore=b"hair", views=views)
+    (upload,) = script.uploads.values()
+    files = ("silhouette", "ignore", "silhouette_2", "ignore_2", "silhouette_3")
+    assert [upload[name] for name in files] == [b"front", b"hair", b"side", b"hand", silhouette.read_bytes()]
+    assert "ignore_3" not in upload
+    assert [view["camera"]["azimuth_degrees"] for view in upload["views"]] == [-80, 30]
+
+
+def test_a_bad_camera_of_a_further_view_is_refused_before_anything_is_sent(
+    face: Face, script: Script, camera: Camera
+) -> None:
+    with pytest.raises(errors.CameraInvalid) as caught:
+        face.call("submit", b"mesh", b"png", camera, views=[View(b"png", camera | {"distance": -1})])
+    assert [field.pointer for field in caught.value.errors] == ["/views/0/camera/distance"]
+    with pytest.raises(errors.InvalidInput, match="at most 7"):
+        face.call("submit", b"mesh", b"png", camera, views=[View(b"png", camera)] * 8)
+    assert script.calls == []
 
 
 def test_get_list_cancel_delete(face: Face, script: Script) -> None:

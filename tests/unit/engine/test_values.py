@@ -100,6 +100,28 @@ def test_no_view(silhouette: Tensor, says: str) -> None:
         View(silhouette, CAMERA)
 
 
+@pytest.mark.parametrize(
+    ("known", "says"),
+    [
+        (HALF > 2, "pixels that are known, got none"),
+        (HALF < 1, "no pixel above the threshold"),
+        (HALF > 0, "background around the object"),
+        (HALF, r"known pixels \(3, 4\) bool, got \(3, 4\) torch.float32"),
+        (HALF[:2] > 0, r"known pixels \(3, 4\) bool, got \(2, 4\)"),
+    ],
+)
+def test_only_known_pixels_are_an_object_or_background(known: Tensor, says: str) -> None:
+    with pytest.raises(SilhouetteInvalid, match=says):
+        View(HALF, CAMERA, known)
+
+
+def test_the_object_is_what_is_known_of_it() -> None:
+    known = torch.ones(3, 4, dtype=torch.bool)
+    known[0] = False
+    assert torch.equal(View(HALF, CAMERA, known).object(), (HALF > 0) & known)
+    assert torch.equal(View(HALF, CAMERA).to("cpu").object(), HALF > 0)
+
+
 def test_the_least_that_is_enough() -> None:
     corner = torch.zeros(3, 4)
     corner[0, 0] = 1

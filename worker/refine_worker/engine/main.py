@@ -23,9 +23,10 @@ from refine_engine.errors import RefineError
 from refine_engine.kernels.cuda import keep_float32
 from refine_jobs.blobs import BlobStore
 from refine_jobs.logs import configure_logs, log_fields
+from refine_jobs.record import Task
 
 from .. import messages
-from ..messages import Cancel, Done, Failed, Ready, Run
+from ..messages import Answered, Cancel, Done, Failed, FromEngine, Ready, Run
 from .refinery import MemoryShort, Refinery
 from .warm_up import presets_to_warm, warm_up
 
@@ -99,10 +100,16 @@ def work(refinery: Refinery, run: Run, connection: Connection, cancelled: thread
 
 def _attempt(
     refinery: Refinery, run: Run, connection: Connection, cancelled: threading.Event
-) -> Done | Failed:
-    """Refine; every way in which that can fail becomes a message."""
+) -> Done | Answered | Failed:
+    """Do the task; every way in which that can fail becomes a message."""
+
+    def tell(message: FromEngine) -> None:
+        messages.send(connection, message)
+
     try:
-        return refinery.refine(run, lambda message: messages.send(connection, message), cancelled.is_set)
+        if run.task is Task.VALIDATE:
+            return refinery.validate(run, tell)
+        return refinery.refine(run, tell, cancelled.is_set)
     except RefineError as error:
         return Failed(reason=error.reason, detail=str(error))
     except MemoryShort as error:

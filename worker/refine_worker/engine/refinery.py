@@ -12,16 +12,19 @@ from pathlib import Path
 import torch
 
 from refine_engine.artifacts.make import make_artifacts
+from refine_engine.cameras.seen import mean_silhouette_iou
+from refine_engine.checks.check import GivenPlane, refuse
 from refine_engine.contract import config_of, judgement_of
-from refine_engine.request import Inputs, read_inputs
+from refine_engine.method.config import RefineConfig
+from refine_engine.request import Inputs, Observation, check_files
 from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
-from refine_proto.formats import ARTIFACTS
-from refine_proto.models import Artifact, RefinementSpec
+from refine_proto.formats import ARTIFACTS, IGNORE, MESH, SILHOUETTE, of_view
+from refine_proto.models import Artifact, RefinementSpec, Validation
 from refine_proto.progress import ProgressMeter
 
-from ..messages import Done, FromEngine, Phase, PhaseStarted, Progressed, Run
+from ..messages import Answered, Done, FromEngine, Phase, PhaseStarted, Progressed, Run
 
 Tell = Callable[[FromEngine], None]
 
@@ -39,14 +42,24 @@ class Refinery:
     def refine(self, run: Run, tell: Tell, cancelled: Callable[[], bool]) -> Done:
         """Do the job. Raises the engine's errors and MemoryShort."""
         spec = RefinementSpec.model_validate(run.spec)
-        inputs = self._read(run.job_id, spec, tell)
         config = config_of(spec.options)
+        inputs = self._read(run, spec, config, tell)
+        refuse(inputs.findings)
         tell(PhaseStarted(phase=Phase.REFINE))
         with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
             result = inputs.refine(config, self._device, Reporter(tell), cancelled)
             tell(PhaseStarted(phase=Phase.STORE))
             artifacts = make_artifacts(inputs, result, config)
-        return Done(artifacts=self._store(run, artifacts), judgement=judgement_of(result))
+        return Done(
+            artifacts=self._store(run, artifacts), judgement=judgement_of(result), checks=inputs.findings
+        )
+
+    def validate(self, run: Run, tell: Tell) -> Answered:
+        """Say what `refine` would find in the inputs. Raises the engine's errors and MemoryShort."""
+        spec = RefinementSpec.model_validate(run.spec)
+        inputs = self._read(run, spec, config_of(spec.options), tell)
+        iou = mean_silhouette_iou(inputs.mesh_file.mesh, inputs.views)
+        return Answered(answer=Validation.of(iou, inputs.warnings, inputs.findings))
 
     def clear(self) -> None:
         """Give back what a job that has ended, in whatever way, held on the device: other slots want it.
@@ -57,14 +70,29 @@ class Refinery:
         if self._device.type == "cuda":
             torch.cuda.empty_cache()
 
-    def _read(self, job_id: str, spec: RefinementSpec, tell: Tell) -> Inputs:
-        mesh, silhouette = (
-            self._blobs.get(keys.input_blob(job_id, part)) for part in (keys.MESH, keys.SILHOUETTE)
-        )
+    def _read(self, run: Run, spec: RefinementSpec, config: RefineConfig, tell: Tell) -> Inputs:
+        files = {
+            part: self._blobs.get(keys.input_blob(run.job_id, part))
+            for part in (MESH, SILHOUETTE, *run.more_files)
+        }
         tell(PhaseStarted(phase=Phase.READ))
         name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
         with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
-            return read_inputs(mesh, name, silhouette, spec.camera, spec.options.silhouette_threshold)
+            return check_files(
+                files[MESH],
+                name,
+                files[SILHOUETTE],
+                spec.camera,
+                spec.options.silhouette_threshold,
+                ignore_grey=spec.options.ignore_grey,
+                ignore=files.get(IGNORE),
+                more_views=[
+                    Observation(files[of_view(SILHOUETTE, n)], view.camera, files.get(of_view(IGNORE, n)))
+                    for n, view in enumerate(spec.views, 2)
+                ],
+                checks=spec.options.checks,
+                symmetry=GivenPlane.of(config),
+            )
 
     def _store(self, run: Run, artifacts: Mapping[str, bytes]) -> tuple[Artifact, ...]:
         stored = {

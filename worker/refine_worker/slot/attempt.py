@@ -12,7 +12,7 @@ from refine_jobs.record import Job
 from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, WorkerLost, error_class
 from refine_proto.models import Progress, State
 
-from ..messages import Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Run
+from ..messages import Answered, Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Run
 from .engine_process import EngineDied
 from .slot import Slot
 
@@ -36,7 +36,7 @@ class Attempt:
         self._cancelled_at: float | None = None
         self._begun = False  # whether the engine has said anything of the job
 
-    def run(self) -> Done:
+    def run(self) -> Done | Answered:
         """Wait for the result.
 
         Raises an error of refine_proto.errors for the job, Stopped, or LeaseLost. After all of them the
@@ -51,19 +51,27 @@ class Attempt:
         except BaseException:  # LeaseLost, a limit, a signal: it is still at work
             self._slot.engine.kill()
             raise
-        if isinstance(ended, Done):
+        if not isinstance(ended, Failed):
             return ended
         if ended.replace_engine:
             self._slot.engine.kill()
         raise error_class(ended.reason)(ended.detail)
 
-    def _run(self) -> Done | Failed:
+    def _run(self) -> Done | Answered | Failed:
         engine, job = self._slot.engine, self._job
-        engine.run(Run(job_id=job.id, attempt=job.attempt, spec=job.spec, log_fields=fields_of(job)))
+        run = Run(
+            job_id=job.id,
+            attempt=job.attempt,
+            task=job.task,
+            spec=job.spec,
+            more_files=tuple(job.more_files),
+            log_fields=fields_of(job),
+        )
+        engine.run(run)
         next_tick = self._started + _TICK_S
         while True:
             message = engine.receive(max(0.0, self._wake_at(next_tick) - time.monotonic()))
-            if isinstance(message, Done | Failed):
+            if isinstance(message, Done | Answered | Failed):
                 if self._progress:  # the last iteration; watchers wait for it
                     self._renew()
                 return message

@@ -20,6 +20,7 @@ from refine_jobs.record import Job
 from refine_jobs.worker_store import LeaseLost
 from refine_proto.errors import Cancelled, Internal, RefineError
 
+from ..messages import Answered
 from .attempt import Attempt, Stopped
 from .slot import SLOT, Slot
 
@@ -51,7 +52,9 @@ def _work(slot: Slot, job: Job) -> Callable[[], object]:
     failure: RefineError
     try:
         done = Attempt(slot, job).run()
-        return partial(slot.store.finish, job, done.artifacts, done.judgement)
+        if isinstance(done, Answered):
+            return partial(slot.store.answer, job, done.answer)
+        return partial(slot.store.finish, job, done.artifacts, done.judgement, done.checks)
     except LeaseLost:
         raise
     except Cancelled:

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from refine_engine.cameras.spec import AXES, Convention, camera_from_spec, other_readings, read_camera
+from refine_engine.cameras.readings import other_readings
+from refine_engine.cameras.spec import AXES, Convention, camera_from_spec, read_camera
 from refine_engine.values import Camera
 
 WIDTH, HEIGHT = 200, 100

@@ -91,7 +91,7 @@ def test_units_do_not_matter_to_the_preview(unit: float, projection: Projection)
         mesh, view = mesh_in(unit), View(silhouette, camera_in(unit, projection))
         thinner = Mesh(mesh.vertices * torch.tensor([0.8, 1.0, 1.0]), FACES)
         picture = Image.open(
-            io.BytesIO(draw_preview(view, thinner, mesh, torch.linspace(0, 1, len(VERTICES))))
+            io.BytesIO(draw_preview([view], thinner, mesh, torch.linspace(0, 1, len(VERTICES))))
         )
         return torch.from_numpy(np.array(picture)).float()
 
@@ -132,3 +132,14 @@ def test_units_do_not_matter_to_eval(unit: float, tmp_path: Path, capsys: pytest
     view = ["--camera", path("c.json"), "--silhouette", path("s.png")]
     assert eval_command([path("m.obj"), path("m.obj"), *view, "--seeds", "1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["predicted"]["silhouette_iou"] == 1.0
+
+
+def test_the_iou_counts_known_pixels_only() -> None:
+    mesh, camera = mesh_in(1.0), camera_in(1.0, "perspective")
+    seen = hard_silhouette(mesh, camera)
+    left = torch.arange(SIDE).expand(SIDE, SIDE) < SIDE // 2
+    hidden = View((seen & left).float(), camera, left)
+    assert silhouette_iou(mesh, hidden) == 1.0
+    assert silhouette_iou(mesh, replace(hidden, known=None)) < 0.7
+    wrong_where_known = View((seen & left).float(), camera, ~left | ~seen | (torch.rand(SIDE, SIDE) < 0.5))
+    assert silhouette_iou(mesh, wrong_where_known) < 0.7

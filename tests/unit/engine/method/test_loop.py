@@ -314,3 +314,20 @@ def test_confidence_falls_where_the_mesh_is_not_symmetric(ball: Mesh) -> None:
         confidence[(bump[:, 2] == 0) & (ball.vertices[:, 2] > -0.3)],
     )
     assert float(on_bump.mean()) < float(elsewhere.mean())
+
+
+def test_what_is_hidden_is_not_taken_for_background(ball: Mesh) -> None:
+    """A third of a long ball is behind something: the rest is fitted as if all were seen."""
+    wanted = view_of(stretched(ball, 1.2, 0.8, 1.0))
+    known = torch.ones(64, 64, dtype=torch.bool)
+    known[:, 38:] = False
+    hidden = View(wanted.silhouette * known, CAMERA, known)
+    kept, lost = (refine(ball, [view], SETTLED) for view in (hidden, replace(hidden, known=None)))
+    shown = [mean_silhouette_iou(result.mesh, [wanted]) for result in (kept, lost)]
+    assert shown[0] > shown[1] + 0.05, shown
+    assert kept.silhouette_iou_after == pytest.approx(mean_silhouette_iou(kept.mesh, [hidden]))
+
+
+def test_knowing_all_pixels_is_not_to_say_which(ball: Mesh, views: list[View]) -> None:
+    all_known = [replace(view, known=torch.ones(64, 64, dtype=torch.bool)) for view in views]
+    assert same(refine(ball, views, SHORT), refine(ball, all_known, SHORT))

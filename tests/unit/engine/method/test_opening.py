@@ -138,3 +138,18 @@ def test_a_thin_difference_is_explained() -> None:
     mesh = sheet()
     target = target_of(square(torch.zeros(SIDE, SIDE), 12, 88, 1.0), mesh)
     assert not find_unexplained(mesh.vertices, mesh.faces, target, 0.05).any()
+
+
+def test_what_is_unknown_needs_no_explanation() -> None:
+    """A third of the sheet is hidden, or cut off by the border of the image: the rest agrees."""
+    mesh = sheet()
+    known = torch.ones(SIDE, SIDE, dtype=torch.bool)
+    known[:, 60:] = False
+    silhouette = square(torch.zeros(SIDE, SIDE), 10, 90, 1.0) * known
+    whole, frame = Region.whole(CAMERA), Frame.of(mesh, None)
+    hidden = Target.of([View(silhouette, CAMERA, known)], [whole], frame, SIDE)
+    cut_off = Target.of([View(silhouette[:, :60].clone(), replace(CAMERA, width=60))], [whole], frame, SIDE)
+    for target in (hidden, cut_off):
+        assert not find_unexplained(mesh.vertices, mesh.faces, target, 0.05).any()
+        assert not find_outside(mesh.vertices, mesh.faces, target, Opening()).any()
+    assert find_unexplained(mesh.vertices, mesh.faces, target_of(silhouette, mesh), 0.05).any()

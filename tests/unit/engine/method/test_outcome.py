@@ -111,3 +111,12 @@ def test_an_object_without_a_plane_has_no_confidence(ball: Mesh) -> None:
     kept = keep(ball, [view_of(ball)], replace(CONFIG, symmetry="none"), 1.0)
     assert kept.plane is None
     assert not kept.confidence.any()
+
+
+def test_a_mesh_that_agrees_where_something_is_known_is_kept(ball: Mesh) -> None:
+    view = view_of(ball)
+    known = torch.ones(64, 64, dtype=torch.bool)
+    known[:, 32:] = False
+    hidden = View(view.silhouette * known, CAMERA, known)
+    assert refine(ball, [hidden], CONFIG).outcome == "kept"
+    assert refine(ball, [replace(hidden, known=None)], CONFIG).silhouette_iou_before < 0.6

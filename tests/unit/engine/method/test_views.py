@@ -230,3 +230,31 @@ def test_a_region_holds_mesh_and_silhouette_with_a_margin() -> None:
     assert Region.around(View(silhouette, camera), mesh) == Region(left=17, top=7, side=36)
     unseen = Mesh(corners + torch.tensor([100.0, 0.0, 0.0]), mesh.faces)
     assert Region.around(View(silhouette, camera), unseen) == Region(left=19, top=9, side=12)
+
+
+@pytest.mark.parametrize("side", [48, 32, 100])
+def test_a_target_shows_what_is_known(ball: Mesh, side: int) -> None:
+    """A pixel of which a part is known has the coverage of that part; what is unknown changes nothing."""
+    camera = a_camera(64, 48)
+    whole = view_of(ball, camera)
+    known = torch.ones(48, 64, dtype=torch.bool)
+    known[:, 31:] = False
+    target = target_of([replace(whole, known=known)], Frame.of(ball, None), side)
+    full = target_of([whole], Frame.of(ball, None), side)
+    inside = target.known[0] > 0.999
+    torch.testing.assert_close(target.silhouette[0][inside], full.silhouette[0][inside])
+    assert float(target.silhouette.max()) <= 1.0 + 1e-6
+    assert not target.silhouette[target.known == 0].any()
+    assert int(target.background().sum()) < int(full.background().sum())
+    other = replace(whole, silhouette=torch.where(known, whole.silhouette, 1 - whole.silhouette), known=known)
+    assert torch.equal(target_of([other], Frame.of(ball, None), side).silhouette, target.silhouette)
+
+
+def test_a_region_does_not_reach_for_unknown_pixels(ball: Mesh) -> None:
+    camera = a_camera(64, 48)
+    view = view_of(ball, camera)
+    known = torch.ones(48, 64, dtype=torch.bool)
+    known[0, 0] = False
+    stray = view.silhouette.clone()
+    stray[0, 0] = 1.0
+    assert Region.around(View(stray, camera, known), ball) == Region.around(view, ball)
