@@ -38,7 +38,10 @@ def read_polygons(data: bytes, kind: str, limits: MeshLimits) -> tuple[Document,
 
 
 def mesh_document(parts: list[Part], material: Json = MATTE) -> Document:
-    """A document of one mesh of one material. Each part has `faces` (F, 3) and vertex attributes by their glTF names."""
+    """A document of one mesh, of one material.
+
+    Each part has `faces` (F, 3) and vertex attributes by their glTF names.
+    """
     document = Document({"asset": {"version": "2.0", "generator": "refine-mesh"}}, bytearray())
     primitives: list[Json] = []
     for part in parts:

@@ -23,7 +23,7 @@ export const stateWords = (refinement) => (STATES[refinement.state] ?? (() => `I
 
 /** Sentences about what report.json says of a refinement with these options. */
 export function reportWords(report, { preset, seed }) {
-  const { silhouette_iou: iou, outcome, symmetry, mesh } = report;
+  const { silhouette_iou: iou, outcome, mirror_plane: symmetry, camera_correction: correction, mesh } = report;
   const told = [];
   if (outcome) told.push(OUTCOMES[outcome] ?? `Outcome: ${outcome}.`);
   told.push(
@@ -38,7 +38,7 @@ export function reportWords(report, { preset, seed }) {
   } else if (symmetry === null) {
     told.push("No mirror plane was found, so symmetry had no say.");
   }
-  if (report.camera_turn_degrees > 0) told.push(`The camera was turned by ${short(report.camera_turn_degrees)}° to fit.`);
+  if (correction) told.push(`The camera was turned by ${short(correction.turn_degrees)}° to fit.`);
   if (mesh) {
     told.push(`The mesh has ${mesh.vertices.toLocaleString("en")} vertices and ${mesh.faces.toLocaleString("en")} faces.`);
     if (mesh.removed_faces) told.push(`${mesh.removed_faces.toLocaleString("en")} faces that cover holes of the silhouette were removed.`);
@@ -52,7 +52,7 @@ export function reportWords(report, { preset, seed }) {
 export function confidenceWords(report) {
   const cost = report?.config?.confidence_cost;
   const meaning = "How near the mirror image of a place comes to the mesh. It says nothing about how right the surface is.";
-  if (report?.symmetry === null) return `${meaning} Here no mirror plane was found: 0 everywhere.`;
+  if (report?.mirror_plane === null) return `${meaning} Here no mirror plane was found: 0 everywhere.`;
   if (!cost || report.config.learn_confidence) return `${meaning} 1: mirrored, 0: no mirror image.`;
   const away = (confidence) => percent(Math.sqrt(cost / confidence));
   return `${meaning} 1: within ${away(1)} of the object's size; 0.5: ${away(0.5)} away; 0.1: ${away(0.1)} away.`;
