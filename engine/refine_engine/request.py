@@ -76,8 +76,8 @@ def read_inputs(
     """Read a mesh file and a silhouette image, for a camera as `read_camera` gives it; and further views.
 
     `mesh_name` matters for its suffix where the bytes do not tell the format; `beside` gives the files that
-    the mesh refers to; see `read_silhouette` for `ignore_grey` and `ignore`; `symmetry` is checked where it is
-    given. Raises an InputError: a file or a camera is invalid, or `checks` refuses them together.
+    the mesh refers to. See `read_silhouette` for `ignore_grey` and `ignore`. `symmetry` is checked where it
+    is given. Raises an InputError: a file or a camera is invalid, or `checks` refuses them together.
     """
     inputs = check_files(
         mesh,
