@@ -121,6 +121,7 @@ class Script:
             artifacts=artifacts if done else [],
             silhouette_iou=SilhouetteIou(before=0.5, after=0.9) if done else None,
             checks=self.checks if done else [],
+            warnings=[finding.message for finding in self.checks] if done else [],
             error=self.error.problem(request_id="req-job") if self.error and state.terminal else None,
             queue_position=3 if state is State.QUEUED else None,
         )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..errors import MeshInvalid
+from ..kernels.jit import numba_jit
 from .weld import Floats, Ints
 
 _MAX_CONCAVE = 500  # corners: clipping ears may cost the cube of them
@@ -67,7 +67,7 @@ def _turns_back(flat: Floats) -> NDArray[np.bool_]:
     return back
 
 
-@njit(nogil=True, cache=True)
+@numba_jit()
 def _clip_ears(flat: Floats) -> Ints:
     """Triangles (N - 2, 3) of the polygon (N, 2).
 
@@ -94,7 +94,7 @@ def _clip_ears(flat: Floats) -> Ints:
     return triangles
 
 
-@njit(nogil=True, cache=True)
+@numba_jit()
 def _ear(flat: Floats, left: Ints, inset: float) -> int:
     """The first convex corner whose triangle has no other corner deeper inside than `inset`; -1: none."""
     for i in range(len(left)):
@@ -114,7 +114,7 @@ def _ear(flat: Floats, left: Ints, inset: float) -> int:
     return -1
 
 
-@njit(nogil=True, cache=True)
+@numba_jit()
 def _cross(a: Floats, b: Floats, c: Floats) -> float:
     """Twice the area of a triangle, positive if it is counter-clockwise."""
     doubled: float = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

@@ -71,7 +71,7 @@ function readOff(text) {
 }
 
 /** The mask of a silhouette: width, height, object Uint8Array (H * W) of 0 and 1. The rule of docs/conventions.md. */
-export async function readSilhouette(file, threshold = 0.25) {
+export async function readSilhouette(file, threshold = 0.5) {
   let image;
   try {
     image = await createImageBitmap(file, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
@@ -85,9 +85,12 @@ export async function readSilhouette(file, threshold = 0.25) {
   const object = new Uint8Array(width * height);
   let opaque = true;
   for (let i = 3; i < data.length && opaque; i += 4) opaque = data[i] === 255;
-  for (let i = 0; i < object.length; i++) {
-    const [r, g, b, alpha] = data.subarray(4 * i, 4 * i + 4);
-    object[i] = (opaque ? 0.299 * r + 0.587 * g + 0.114 * b : alpha) > threshold * 255 ? 1 : 0;
+  const levels = new Uint8Array(width * height); // the server looks at more: palettes, labels, soft alpha
+  for (let i = 0; i < levels.length; i++) {
+    levels[i] = opaque ? Math.max(data[4 * i], data[4 * i + 1], data[4 * i + 2]) : data[4 * i + 3];
   }
+  const [least, largest] = levels.reduce(([low, high], x) => [Math.min(low, x), Math.max(high, x)], [255, 0]);
+  const edge = least + threshold * (largest - least);
+  for (let i = 0; i < levels.length; i++) object[i] = levels[i] > edge ? 1 : 0;
   return { width, height, object };
 }
