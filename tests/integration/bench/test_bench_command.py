@@ -104,7 +104,7 @@ def test_tables_figure_and_report_say_what_was_measured(
     assert report.count("<section class='case'>") == 2
     assert report.count("data:image/png;base64,") == 3
     assert not re.search(r"(src|href)='(?!data:)", report)
-    assert size(out / "pictures" / "bench_plugin.shrink" / "first_0.png") == (5 * 168, 2 * 168)
+    assert size(out / "pictures" / "bench_plugin.shrink" / "first_0.png") == (6 * 168, 2 * 168)
 
 
 def test_a_plugin_that_crashes_costs_its_own_results_only(
