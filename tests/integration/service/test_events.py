@@ -140,7 +140,7 @@ def test_a_drain_ends_streams_and_waits(redis_url: str, redis: Redis, tmp_path: 
         )
         until(lambda: 'refine_watchers{transport="rest"} 1.0' in rest.get("/metrics").text)
         until(lambda: 'refine_watchers{transport="grpc"} 1.0' in rest.get("/metrics").text)
-        until(lambda: "refine_queued_jobs 2.0" in rest.get("/metrics").text)
+        until(lambda: "refine_queued_jobs 2.0" in rest.get("/metrics/installation").text)
         assert service.stop() == 0
         for thread in (watch, stream, wait):
             thread.join(30)
