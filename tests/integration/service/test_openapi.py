@@ -105,7 +105,7 @@ def test_whatever_is_sent_the_document_is_true(service: Service, hand: Hand) -> 
     answered = Counter(f"{line['method']} {line['status']}" for line in calls)
     for expected in ("POST /v1/refinements 202", "POST /v1/refinements 422", f"GET {ARTIFACT} 200"):
         assert answered[expected] > 5, answered
-    assert answered["POST /v1/refinements:validate 200"] > 1, answered
+    assert answered["POST /v1/refinements:validate 200"] > 0, answered
     for call in document_calls(schema.raw_schema):
         assert any(seen.startswith(call) for seen in answered), call
 
