@@ -11,11 +11,9 @@ from refine_proto.commands.validation import print_validation
 from refine_proto.models import Validation
 
 from ..cameras.seen import mean_silhouette_iou
-from ..checks.check import GivenPlane
 from ..contract import config_of
-from ..files.beside import in_folder_of
 from ..request import check_files
-from .run import add_files, end, read_file, read_observations
+from .run import add_files, end, read_request
 
 
 def check_command(argv: Sequence[str]) -> int:
@@ -44,20 +42,6 @@ def check_parser() -> Parser:
 
 def _check(arguments: argparse.Namespace) -> Validation:
     options = read_options(arguments)
-    config = config_of(options)
-    first, *further = read_observations(arguments)
-    inputs = check_files(
-        read_file(arguments.mesh),
-        arguments.mesh.name,
-        first.silhouette,
-        first.camera,
-        options.silhouette_threshold,
-        beside=in_folder_of(arguments.mesh),
-        ignore_grey=options.ignore_grey,
-        ignore=first.ignore,
-        more_views=further,
-        checks=options.checks,
-        symmetry=GivenPlane.of(config),
-    )
+    inputs = read_request(arguments, options, config_of(options), check_files)
     iou = mean_silhouette_iou(inputs.mesh_file.mesh, inputs.views)
     return Validation.of(iou, inputs.warnings, inputs.findings)

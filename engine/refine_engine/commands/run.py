@@ -6,7 +6,7 @@ import argparse
 import os
 import tempfile
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -18,7 +18,7 @@ from refine_proto.commands.cores import usable_cores
 from refine_proto.commands.display import Display, choose_display
 from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
 from refine_proto.commands.options import add_options, add_views, read_options, read_views
-from refine_proto.models import Refinement
+from refine_proto.models import Refinement, RefinementOptions
 
 from ..artifacts.make import make_artifacts
 from ..checks.check import GivenPlane
@@ -100,17 +100,15 @@ def read_observations(arguments: argparse.Namespace) -> list[Observation]:
     ]
 
 
-def _run(arguments: argparse.Namespace) -> None:
-    options = read_options(arguments)
-    config = config_of(options)
-    device = _device(arguments.device)
-    if arguments.threads < 1:
-        raise OptionsInvalid(f"expected at least one thread, got {arguments.threads}")
-    torch.set_num_threads(arguments.threads)
-    keep_float32()
-    _check_target(arguments.output)
+def read_request(
+    arguments: argparse.Namespace,
+    options: RefinementOptions,
+    config: RefineConfig,
+    read: Callable[..., Inputs],
+) -> Inputs:
+    """The files that the arguments of `add_files` name, by `read_inputs` or `check_files`; their errors."""
     first, *further = read_observations(arguments)
-    inputs = read_inputs(
+    return read(
         read_file(arguments.mesh),
         arguments.mesh.name,
         first.silhouette,
@@ -123,6 +121,18 @@ def _run(arguments: argparse.Namespace) -> None:
         checks=options.checks,
         symmetry=GivenPlane.of(config),
     )
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    options = read_options(arguments)
+    config = config_of(options)
+    device = _device(arguments.device)
+    if arguments.threads < 1:
+        raise OptionsInvalid(f"expected at least one thread, got {arguments.threads}")
+    torch.set_num_threads(arguments.threads)
+    keep_float32()
+    _check_target(arguments.output)
+    inputs = read_request(arguments, options, config, read_inputs)
     display = choose_display(arguments.json)
     with display:
         events = RunEvents(arguments.mesh.name, options, display.event)
