@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from collections import Counter
 from contextlib import suppress
 from typing import Any
@@ -105,7 +106,7 @@ def test_whatever_is_sent_the_document_is_true(service: Service, hand: Hand) -> 
     answered = Counter(f"{line['method']} {line['status']}" for line in calls)
     for expected in ("POST /v1/refinements 202", "POST /v1/refinements 422", f"GET {ARTIFACT} 200"):
         assert answered[expected] > 5, answered
-    assert answered["POST /v1/refinements:validate 200"] > 0, answered
+    assert answered["POST /v1/refinements:validate 200"] > 1, answered
     for call in document_calls(schema.raw_schema):
         assert any(seen.startswith(call) for seen in answered), call
 
@@ -139,6 +140,12 @@ def check_operation(operation: APIOperation[Any, Any, Any, Any], service: Servic
             encoded = {name: base64.b64encode(data).decode() for name, data in files.items()}
             real: dict[str, Any] = {**(encoded if case.media_type == "application/json" else files)}
             case.body = case.body | real | {"mesh_format": "obj"}
+            real_camera: Any = CAMERA
+            if operation.path.endswith(":validate"):  # few drawn cameras are rigid
+                case.body["camera"] = (
+                    real_camera if case.media_type == "application/json" else json.dumps(real_camera)
+                )
+                case.body.pop("views", None)  # each would need files of its own
         check(case)
 
     for mode, act in ((Mode.POSITIVE, check), (Mode.POSITIVE, check_meaningful), (Mode.NEGATIVE, check)):
