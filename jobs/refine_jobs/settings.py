@@ -36,7 +36,7 @@ class JobSettings(EnvironmentSettings):
     idempotency_s: float = Field(86_400, gt=0, description="How long an idempotency key is remembered.")
     max_queued: int = Field(10_000, ge=1, description="Queued jobs of all owners; more: QUEUE_FULL.")
     max_queued_per_owner: int = Field(1_000, ge=1, description="Queued jobs of one; more: QUOTA_EXCEEDED.")
-    max_attempts: int = Field(3, ge=1, description="Slots that one job may lose before WORKER_LOST.")
+    max_attempts: int = Field(3, ge=1, description="Attempts that one job may lose before it fails.")
     job_timeout_s: float = Field(
         3_600, gt=0, description="Longest run of one attempt that a caller may ask for."
     )

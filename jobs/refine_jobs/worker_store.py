@@ -77,7 +77,14 @@ class WorkerStore:
 
         Returns QUEUED, or CANCELLED if it was to be cancelled. Raises LeaseLost.
         """
-        return self._held(job, self._give_back(job, "now", why))
+        return self._held(job, self._give_back(job, "now", WorkerLost(why)))
+
+    def lose(self, job: Job, error: RefineError) -> State:
+        """The attempt is lost, perhaps by the job's own doing: queue it again, in front, if it may lose one.
+
+        Returns QUEUED, CANCELLED if it was to be cancelled, or FAILED, with `error`. Raises LeaseLost.
+        """
+        return self._held(job, self._give_back(job, "lost", error))
 
     def show(self, slot: SlotStatus) -> None:
         """Say that the slot is alive; call it at least every keys.SLOT_S / 3 seconds."""
@@ -102,7 +109,7 @@ class WorkerStore:
         taken = []
         for job in self._jobs(self._due(keys.LEASES)):
             why = f"its worker slot {job.slot} stopped answering during attempt {job.attempt}"
-            state = self._give_back(job, "expired", why)
+            state = self._give_back(job, "expired", WorkerLost(why))
             if state is not None:
                 taken.append((job.id, State(state)))
         return taken
@@ -163,9 +170,9 @@ class WorkerStore:
         done = self._run("finish", job.id, job.attempt, state, reason, self._retention_ms, *fields)
         self._held(job, state if done else None)
 
-    def _give_back(self, job: Job, when: str, why: str) -> str | None:
+    def _give_back(self, job: Job, when: str, error: RefineError) -> str | None:
         attempts = self._settings.max_attempts
-        error = WorkerLost(f"{why}; that was the last of {attempts} slots that it may lose")
+        last = type(error)(f"{error.detail}; that was the last of {attempts} attempts that it may lose")
         state: str | None = self._run(
             "give_back",
             job.id,
@@ -173,7 +180,8 @@ class WorkerStore:
             when,
             attempts,
             self._retention_ms,
-            to_json(error.problem(request_id=job.request_id)),
+            last.reason,
+            to_json(last.problem(request_id=job.request_id)),
             *self._enqueue_in_front(job),
         )
         return state

@@ -22,6 +22,7 @@ from refine_proto.errors import (
     MeshInvalid,
     NotFound,
     OptionsInvalid,
+    OutOfMemory,
     QueueFull,
     QuotaExceeded,
 )
@@ -280,6 +281,26 @@ def test_given_back_jobs_run_elsewhere_and_lose_nothing(jobs: Jobs) -> None:
                 assert jobs.worker.claim(job_id, "slot-0")
                 jobs.end_lease(job_id)
                 assert reap(jobs.worker, jobs.blobs).taken_back == ((job_id, state),)
+
+    asyncio.run(scenario())
+
+
+def test_a_job_that_loses_its_attempts_fails_with_what_ended_the_last(jobs: Jobs) -> None:
+    jobs = jobs.with_settings(max_attempts=2)
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            job_id = (await jobs.submit(store)).refinement.id
+            for state in (State.QUEUED, State.FAILED):
+                job = jobs.worker.claim(job_id, "slot-0")
+                assert job
+                assert jobs.worker.lose(job, OutOfMemory("the engine process was killed")) is state
+            failed = await store.get("ann", job_id)
+            assert failed.error
+            assert failed.error.reason == "OUT_OF_MEMORY"
+            assert failed.error.detail.endswith("killed; that was the last of 2 attempts that it may lose")
+            counters = jobs.redis.hgetall(keys.METRICS)
+            assert (counters["requeued:lost"], counters["jobs:failed:OUT_OF_MEMORY"]) == ("1", "1")
 
     asyncio.run(scenario())
 

@@ -29,7 +29,7 @@ from refine_jobs.record import Job, Submission
 from refine_jobs.redis_server import connect_async
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import LeaseLost, WorkerStore
-from refine_proto.errors import Conflict, IdempotencyKeyReused, MeshInvalid
+from refine_proto.errors import Conflict, IdempotencyKeyReused, MeshInvalid, WorkerLost
 from refine_proto.models import Event, Progress, RefinementSpec, State
 
 if TYPE_CHECKING:
@@ -207,6 +207,16 @@ class JobStoreMachine(RuleBasedStateMachine):
         claim, job = self.a_claim(pick)
         write = partial(self.worker.give_back, claim, "the worker shuts down")
         if not self.is_lost(claim, write):
+            self.model.give_back(job)
+            assert write() is job.state
+
+    @some_claim
+    @rule(pick=PICK)
+    def lose(self, pick: int) -> None:
+        claim, job = self.a_claim(pick)
+        write = partial(self.worker.lose, claim, WorkerLost("the engine process was killed"))
+        if not self.is_lost(claim, write):
+            job.lost += 1
             self.model.give_back(job)
             assert write() is job.state
 

@@ -2,6 +2,6 @@
 
 import sys
 
-from .supervisor import worker_command
+from .command import worker_command
 
 sys.exit(worker_command(sys.argv[1:]))

@@ -59,6 +59,7 @@ class Ready(_Message):
 
     type: Literal["ready"] = "ready"
     seconds: float
+    gpu_uuid: str | None = None  # of the card that it computes on
 
 
 class PhaseStarted(_Message):

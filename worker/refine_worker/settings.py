@@ -19,6 +19,13 @@ class WorkerSettings(EnvironmentSettings):
     threads_per_slot: int | None = Field(
         None, ge=1, description="CPU threads of one job; unset: 1 on the CPU, cores / slots on CUDA."
     )
+    worker_host: str = Field("127.0.0.1", description="Address of worker_port; 0.0.0.0 for all.")
+    worker_port: int | None = Field(
+        None, ge=0, le=65535, description="Probes and metrics of the worker over HTTP; unset: none."
+    )
+    slot_timeout_s: float = Field(
+        30, gt=0, description="A slot that does not report for so long is killed and started again."
+    )
     jobs_per_engine: int = Field(200, ge=1, description="An engine process is replaced after so many jobs.")
     start_timeout_s: float = Field(300, gt=0, description="For loading and warming up an engine process.")
     read_timeout_s: float = Field(120, gt=0, description="For reading the mesh and the silhouette of a job.")

@@ -13,10 +13,12 @@ from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_worker.messages import Failed, Phase, PhaseStarted, Run
 from refine_worker.plan import SlotPlan
+from refine_worker.reports import Report
 from refine_worker.settings import WorkerSettings
 from refine_worker.slot.engine_process import EngineProcess, EngineStartFailed
 
 PLAN = SlotPlan(name="slot", device="cpu", threads=1)
+REPORTS: list[Report] = []  # to a supervisor; nobody reads them
 CAMERA = {"type": "look_at", "azimuth_degrees": 62, "elevation_degrees": 20, "distance": 1.6}
 
 
@@ -27,30 +29,31 @@ def test_a_mesh_that_needs_too_much_memory_fails(tmp_path: Path) -> None:
     faces = "".join(f"f {i} {i + 1} {i + 2}\n" for i in range(1, len(corners) - 2))
     blobs.put(keys.input_blob("job", keys.MESH), (vertices + faces).encode())
     blobs.put(keys.input_blob("job", keys.SILHOUETTE), b"")
-    engine = EngineProcess(PLAN, WorkerSettings(read_memory_bytes=2**20), str(tmp_path))
+    engine = EngineProcess(PLAN, WorkerSettings(read_memory_bytes=2**20), str(tmp_path), REPORTS.append)
     try:
         engine.prepare()
         engine.run(Run(job_id="job", attempt=1, spec={"camera": CAMERA, "mesh_format": "obj"}))
-        message = engine.receive(60)
-        assert isinstance(message, PhaseStarted)
+        assert [engine.receive(60), engine.receive(60)] == [
+            PhaseStarted(phase=Phase.FETCH), PhaseStarted(phase=Phase.READ)
+        ]  # fmt: skip
         message = engine.receive(60)
         assert isinstance(message, Failed)
         assert (message.reason, message.replace_engine) == ("OUT_OF_MEMORY", True)
         assert "fewer vertices" in message.detail
     finally:
-        engine.stop()
+        engine.kill()
 
 
 def test_an_engine_that_cannot_start_says_so(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    engine = EngineProcess(PLAN, WorkerSettings(), str(file / "blobs"))
+    engine = EngineProcess(PLAN, WorkerSettings(), str(file / "blobs"), REPORTS.append)
     with pytest.raises(EngineStartFailed, match="before it was ready"):
         engine.prepare()
 
 
 def test_an_engine_that_takes_too_long_to_start_is_killed(tmp_path: Path) -> None:
-    engine = EngineProcess(PLAN, WorkerSettings(start_timeout_s=0.01), str(tmp_path))
+    engine = EngineProcess(PLAN, WorkerSettings(start_timeout_s=0.01), str(tmp_path), REPORTS.append)
     with pytest.raises(EngineStartFailed, match=r"within 0\.01 s"):
         engine.prepare()
 
@@ -62,13 +65,12 @@ def test_a_mesh_that_the_edge_let_in_is_read_whatever_its_size(tmp_path: Path) -
     blobs.put(keys.input_blob("job", keys.MESH), padded_glb(257 * 2**20))
     blobs.put(keys.input_blob("job", keys.SILHOUETTE), (sample / "silhouette.png").read_bytes())
     spec = {"camera": json.loads((sample / "camera.json").read_text())}
-    engine = EngineProcess(PLAN, WorkerSettings(), str(tmp_path))
+    engine = EngineProcess(PLAN, WorkerSettings(), str(tmp_path), REPORTS.append)
     try:
         engine.prepare()
         engine.run(Run(job_id="job", attempt=1, spec=spec))
-        assert [engine.receive(60), engine.receive(60)] == [
-            PhaseStarted(phase=Phase.READ), PhaseStarted(phase=Phase.REFINE)
-        ]  # fmt: skip
+        stages = [PhaseStarted(phase=phase) for phase in (Phase.FETCH, Phase.READ, Phase.REFINE)]
+        assert [engine.receive(60) for _ in stages] == stages
     finally:
         engine.kill()
 

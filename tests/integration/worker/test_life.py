@@ -13,7 +13,7 @@ from refine_jobs.slots import SlotState
 from refine_proto.models import State
 
 if TYPE_CHECKING:
-    from .conftest import StartWorker, Worker, Workplace
+    from worker_process import StartWorker, Worker, Workplace
 
 LONG = 10_000  # iterations; nobody waits for their end
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -11,12 +12,14 @@ import pytest
 from refine_jobs.slots import SlotState, SlotStatus
 from refine_jobs.worker_store import WorkerStore
 from refine_worker.plan import SlotPlan
+from refine_worker.reports import BEAT_S, Beat, Report
 from refine_worker.settings import WorkerSettings
+from refine_worker.slot import slot as slot_module
 from refine_worker.slot.engine_process import EngineProcess
 from refine_worker.slot.slot import Slot
 
 if TYPE_CHECKING:
-    from .conftest import Workplace
+    from worker_process import Workplace
 
 PLAN = SlotPlan(name="slot-7", device="cpu", threads=1)
 
@@ -46,7 +49,9 @@ def store(own_workplace: Workplace) -> SlowPulse:
 @pytest.fixture
 def slot(store: SlowPulse, own_workplace: Workplace) -> Iterator[Slot]:
     settings = WorkerSettings()
-    slot = Slot(PLAN, store, EngineProcess(PLAN, settings, own_workplace.settings.blob_location), settings)
+    reports: list[Report] = []
+    engine = EngineProcess(PLAN, settings, own_workplace.settings.blob_location, reports.append)
+    slot = Slot(PLAN, store, engine, settings, reports.append)
     yield slot
     store.go_on.set()
     slot.close()
@@ -89,3 +94,19 @@ def test_a_slot_that_drains_says_so_whatever_it_does(
     slot.drain()
     slot.show(SlotState.BUSY, "job-1")
     assert shown(own_workplace) == [(SlotState.DRAINING, "job-1")]
+
+
+def test_a_slot_whose_job_hangs_does_not_report(
+    slot: Slot, store: SlowPulse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that does the job gives no sign: the supervisor will kill the slot."""
+    store.go_on.set()
+    monkeypatch.setattr(slot_module, "_HANGS_S", 0.0)
+    slot.show(SlotState.BUSY, "job-1")
+    heard: list[Report] = []
+    monkeypatch.setattr(slot, "report", heard.append)
+    time.sleep(2.5 * BEAT_S)
+    assert heard == []
+    slot.show(SlotState.STARTING)
+    time.sleep(2.5 * BEAT_S)
+    assert Beat(state=SlotState.STARTING) in heard

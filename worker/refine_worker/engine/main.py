@@ -1,4 +1,4 @@
-"""`python -m refine_worker.engine.main`: the engine process of a slot. The only module here that loads torch.
+"""The engine process of a slot. The only module here that loads torch.
 
 It loads the engine, runs tiny refinements so that every kernel is compiled, says Ready, and then refines
 what the slot sends it. A thread reads the pipe: it sees a Cancel while the main thread computes, and the end
@@ -33,7 +33,7 @@ from .warm_up import presets_to_warm, warm_up
 log = logging.getLogger("refine_worker.engine")
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str]) -> None:
     """Serve one slot until it closes the pipe."""
     started = time.monotonic()
     options = _parse(argv)
@@ -43,20 +43,22 @@ def main(argv: Sequence[str] | None = None) -> None:
     torch.set_num_interop_threads(1)
     keep_float32()
     connection = Connection(options.pipe)
+    inbox = Inbox(connection)
     device = torch.device("cuda" if os.environ.get("CUDA_VISIBLE_DEVICES") else "cpu")
     refinery = Refinery(BlobStore(options.blobs), device, options.read_memory_bytes)
     for preset in presets_to_warm(device):
         warm_up(device, preset)
-    inbox = Inbox(connection)
-    messages.send(connection, Ready(seconds=time.monotonic() - started))
+    gpu_uuid = str(torch.cuda.get_device_properties(device).uuid) if device.type == "cuda" else None
+    messages.send(connection, Ready(seconds=time.monotonic() - started, gpu_uuid=gpu_uuid))
     while True:
         run = inbox.next_run()
         with log_fields(run.log_fields):
             work(refinery, run, connection, inbox.cancelled)
 
 
-def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="The engine process of a worker slot; slots start it.")
+    parser.add_argument("slot_pid", type=int, help="the process with which this one ends")
     parser.add_argument("pipe", type=int, help="file descriptor of the pipe to the slot")
     parser.add_argument("crash_report", type=int, help="file descriptor for the stacks of a fatal error")
     parser.add_argument("slot")
@@ -120,7 +122,3 @@ def _attempt(
             f"the engine failed unexpectedly ({type(error).__name__}); please report it with the request id"
         )
         return Failed(reason="INTERNAL", detail=detail, replace_engine=True)
-
-
-if __name__ == "__main__":
-    main()

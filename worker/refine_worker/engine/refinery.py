@@ -71,6 +71,7 @@ class Refinery:
             torch.cuda.empty_cache()
 
     def _read(self, run: Run, spec: RefinementSpec, config: RefineConfig, tell: Tell) -> Inputs:
+        tell(PhaseStarted(phase=Phase.FETCH))
         files = {
             part: self._blobs.get(keys.input_blob(run.job_id, part))
             for part in (MESH, SILHOUETTE, *run.more_files)

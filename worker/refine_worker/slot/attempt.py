@@ -9,7 +9,7 @@ from redis.exceptions import RedisError
 
 from refine_jobs.logs import fields_of
 from refine_jobs.record import Job
-from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, WorkerLost, error_class
+from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, RefineError, error_class
 from refine_proto.models import Progress, State
 
 from ..messages import Answered, Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Run
@@ -25,6 +25,14 @@ class Stopped(Exception):
     """The slot cannot go on with the job, through no fault of the job."""
 
 
+class Lost(Exception):
+    """The engine process was killed during the job, which may have been the job's doing; `error` says how."""
+
+    def __init__(self, error: RefineError) -> None:
+        super().__init__(error.detail)
+        self.error = error
+
+
 class Attempt:
     """Watches over the engine process while it works on `job`."""
 
@@ -35,22 +43,27 @@ class Attempt:
         self._progress: Progress | None = None  # not reported yet
         self._cancelled_at: float | None = None
         self._begun = False  # whether the engine has said anything of the job
+        self.stages: dict[Phase, float] = {}  # seconds, of those that have ended
 
     def run(self) -> Done | Answered:
         """Wait for the result.
 
-        Raises an error of refine_proto.errors for the job, Stopped, or LeaseLost. After all of them the
-        engine process is idle or gone.
+        Raises an error of refine_proto.errors for the job, Stopped, Lost, or LeaseLost. After all of them
+        the engine process is idle or gone.
         """
         try:
             ended = self._run()
         except EngineDied as died:
-            if isinstance(died.error, WorkerLost) and not self._begun:
-                raise Stopped(f"{died.error.detail}, before it began") from None
-            raise died.error from None
+            if not died.killed:
+                raise died.error from None
+            if self._begun:
+                raise Lost(died.error) from None
+            raise Stopped(f"{died.error.detail}, before it began") from None
         except BaseException:  # LeaseLost, a limit, a signal: it is still at work
             self._slot.engine.kill()
             raise
+        finally:
+            self._end_stage()
         if not isinstance(ended, Failed):
             return ended
         if ended.replace_engine:
@@ -70,6 +83,7 @@ class Attempt:
         engine.run(run)
         next_tick = self._started + _TICK_S
         while True:
+            self._slot.give_sign()
             message = engine.receive(max(0.0, self._wake_at(next_tick) - time.monotonic()))
             if isinstance(message, Done | Answered | Failed):
                 if self._progress:  # the last iteration; watchers wait for it
@@ -91,9 +105,14 @@ class Attempt:
     def _note(self, message: FromEngine) -> None:
         self._begun, self._last_sign = True, time.monotonic()
         if isinstance(message, PhaseStarted):
+            self._end_stage()
             self._phase, self._phase_started = message.phase, self._last_sign
         elif isinstance(message, Progressed):
             self._progress = message.progress
+
+    def _end_stage(self) -> None:
+        if self._begun:
+            self.stages[self._phase] = time.monotonic() - self._phase_started
 
     def _renew(self) -> None:
         """Keep the job, tell its progress, and hear whether it shall stop."""

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,10 +19,12 @@ from refine_proto.errors import Internal, OutOfMemory, RefineError, WorkerLost
 from .. import messages
 from ..messages import Cancel, FromEngine, Ready, Run
 from ..plan import SlotPlan
+from ..reports import EngineEnd, EngineEnded, EngineStarted, Report
 from ..settings import WorkerSettings
 
 _SECRETS = ("REFINE_REDIS_URL",)  # what the process that parses strangers' files need not know
 _CRASH_REPORT_BYTES = 2**16
+_KILLED = (-signal.SIGKILL, -signal.SIGTERM)
 _EXIT_S = 5.0  # from closing the pipe to killing
 
 log = logging.getLogger(__name__)
@@ -32,18 +35,28 @@ class EngineStartFailed(Exception):
 
 
 class EngineDied(Exception):
-    """The engine process is gone; `error` is what that means for its job."""
+    """The engine process is gone; `error` is what that means for its job.
 
-    def __init__(self, error: RefineError) -> None:
+    `killed`: from outside, so that it may go better another time.
+    """
+
+    def __init__(self, error: RefineError, killed: bool) -> None:
         super().__init__(error.detail)
-        self.error = error
+        self.error, self.killed = error, killed
 
 
 class EngineProcess:
-    """A warm process that refines one job after the other. Used by one thread."""
+    """A warm process that refines one job after the other. Used by one thread, `warm` apart."""
 
-    def __init__(self, plan: SlotPlan, settings: WorkerSettings, blob_location: str) -> None:
+    def __init__(
+        self,
+        plan: SlotPlan,
+        settings: WorkerSettings,
+        blob_location: str,
+        report: Callable[[Report], None],
+    ) -> None:
         self._plan, self._settings, self._blob_location = plan, settings, blob_location
+        self._report = report
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
         self._crash_report = _anonymous_file()  # where faulthandler writes
@@ -52,18 +65,19 @@ class EngineProcess:
 
     @property
     def warm(self) -> bool:
-        """Whether the next job need not wait for a new process."""
-        alive = self._process is not None and self._process.poll() is None
+        """Whether the next job need not wait for a new process. Any thread may ask."""
+        process = self._process
+        alive = process is not None and process.poll() is None
         return alive and self._jobs < self._settings.jobs_per_engine
 
     def prepare(self) -> None:
         """Make sure that a warm process waits for a job. Raises EngineStartFailed."""
         if self._jobs >= self._settings.jobs_per_engine:
             log.info("the engine process has done %d jobs and is replaced", self._jobs)
-            self.stop()
+            self._stop_idle()
         if self._process is not None and self._process.poll() is not None:
             log.warning("the engine process ended while idle: %s", _ending(self._process.returncode))
-            self.kill()
+            self._forget(EngineEnd.DIED)
         if self._process is None:
             self._start()
 
@@ -83,29 +97,33 @@ class EngineProcess:
         try:
             return messages.receive_in_slot(self._connection) if self._connection.poll(timeout_s) else None
         except (EOFError, OSError):
-            raise EngineDied(self._bury()) from None
+            raise self._bury() from None
 
     def kill(self) -> None:
         """End the process at once, whatever it does. Safe to repeat."""
         if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-        self._forget()
+            self._end(self._process, EngineEnd.STOPPED)
 
-    def stop(self) -> None:
-        """End an idle process. Safe to repeat."""
-        if self._connection is not None and self._process is not None:
-            self._connection.close()  # it takes that as the end
-            try:
-                self._process.wait(_EXIT_S)
-            except subprocess.TimeoutExpired:
-                log.warning("the engine process did not end by itself and is killed")
-        self.kill()
+    def _stop_idle(self) -> None:
+        """End a process that has done its jobs."""
+        assert self._connection is not None
+        assert self._process is not None
+        self._connection.close()  # it takes that as the end
+        try:
+            self._process.wait(_EXIT_S)
+        except subprocess.TimeoutExpired:
+            log.warning("the engine process did not end by itself and is killed")
+        self._end(self._process, EngineEnd.PLANNED)
+
+    def _end(self, process: subprocess.Popen[bytes], cause: EngineEnd) -> None:
+        process.kill()
+        process.wait()
+        self._forget(cause)
 
     def _start(self) -> None:
         ours, theirs = Pipe()
         command = [
-            sys.executable, "-m", "refine_worker.engine.main", str(theirs.fileno()),
+            sys.executable, "-m", "refine_worker.engine", str(os.getpid()), str(theirs.fileno()),
             str(self._crash_report), self._plan.name, str(self._plan.threads), self._blob_location,
             str(self._settings.read_memory_bytes),
         ]  # fmt: skip
@@ -132,15 +150,16 @@ class EngineProcess:
                 "(REFINE_START_TIMEOUT_S)"
             )
         log.info("the engine is warm after %.1f s", ready.seconds, extra=fields(engine_pid=self._process.pid))
+        self._report(EngineStarted(seconds=ready.seconds, gpu_uuid=ready.gpu_uuid))
 
     def _send(self, message: Run | Cancel) -> None:
         assert self._connection is not None
         try:
             messages.send(self._connection, message)
         except OSError:
-            raise EngineDied(self._bury()) from None
+            raise self._bury() from None
 
-    def _bury(self) -> RefineError:
+    def _bury(self) -> EngineDied:
         """Take leave of a process that has closed its pipe; what its end means for its job."""
         assert self._process is not None
         try:
@@ -148,11 +167,13 @@ class EngineProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             code = self._process.wait()
-        self._forget()
+        self._forget(EngineEnd.DIED)
         log.error(
             "the engine process died: %s", _ending(code), extra=fields(stacks=self._read_crash_report())
         )
-        return _cause_of_death(code, out_of_memory=_oom_kills() > self._oom_kills)
+        return EngineDied(
+            _cause_of_death(code, out_of_memory=_oom_kills() > self._oom_kills), killed=code in _KILLED
+        )
 
     def _read_crash_report(self) -> str:
         """What a fatal error left, and room for the next."""
@@ -162,7 +183,8 @@ class EngineProcess:
         os.ftruncate(self._crash_report, 0)
         return report
 
-    def _forget(self) -> None:
+    def _forget(self, cause: EngineEnd) -> None:
+        self._report(EngineEnded(cause=cause))
         if self._connection is not None:
             self._connection.close()
         self._process = self._connection = None
@@ -175,8 +197,8 @@ def _cause_of_death(code: int, out_of_memory: bool) -> RefineError:
             f"the engine process was killed by the system for lack of memory ({ending}); "
             "use a mesh with fewer vertices, fewer slots or a larger machine"
         )
-    if code in (-signal.SIGKILL, -signal.SIGTERM):
-        return WorkerLost(f"the engine process was killed from outside ({ending}); submit the job again")
+    if code in _KILLED:
+        return WorkerLost(f"the engine process was killed from outside ({ending})")
     return Internal(f"the engine process crashed ({ending}); please report it with the request id")
 
 

@@ -1,4 +1,4 @@
-"""`python -m refine_worker.slot.main PLAN`: the process of a slot, an RQ worker without fork and torch."""
+"""`python -m refine_worker.slot.main PLAN DESCRIPTOR`: a slot, an RQ worker without fork and torch."""
 
 from __future__ import annotations
 
@@ -20,9 +20,12 @@ from refine_jobs.worker_store import WorkerStore
 
 from ..lifeline import stop_with_parent
 from ..plan import NEVER_READY, SlotPlan
+from ..reports import Reports
 from ..settings import WorkerSettings
 from .engine_process import EngineProcess, EngineStartFailed
 from .slot import SLOT, Slot
+
+_IDLE_LOOK_S = 5  # between two looks at an idle engine process
 
 log = logging.getLogger("refine_worker.slot.slot")
 
@@ -40,6 +43,16 @@ class SlotJob(RqJob):
 
 class SlotWorker(SimpleWorker):
     """RQ's worker, with an engine process that is warm before each job, and our way to stop."""
+
+    def dequeue_job_and_maintain_ttl(
+        self, timeout: int | None, max_idle_time: int | None = None
+    ) -> tuple[RqJob, Queue] | None:
+        """Wait for a job, and see now and then whether the engine process still waits too."""
+        while True:
+            SLOT.get().prepare()
+            found = super().dequeue_job_and_maintain_ttl(timeout, max_idle_time=_IDLE_LOOK_S)
+            if found is not None:
+                return found
 
     def execute_job(self, job: RqJob, queue: Queue) -> None:
         slot = SLOT.get()
@@ -64,8 +77,9 @@ def main(argv: Sequence[str] = sys.argv) -> int:
     jobs, settings = JobSettings.from_environment(), WorkerSettings.from_environment()
     assert jobs.redis_url is not None, "the supervisor has checked that"
     url = jobs.redis_url.get_secret_value()
-    engine = EngineProcess(plan, settings, jobs.blob_location)
-    slot = Slot(plan, WorkerStore(connect(url), jobs), engine, settings)
+    reports = Reports(int(argv[2]))
+    engine = EngineProcess(plan, settings, jobs.blob_location, reports.tell)
+    slot = Slot(plan, WorkerStore(connect(url), jobs), engine, settings, reports.tell)
     SLOT.set(slot)
     ended_early = NEVER_READY
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
@@ -18,10 +18,12 @@ from refine_jobs.slots import SlotState, SlotStatus
 from refine_jobs.worker_store import WorkerStore
 
 from ..plan import SlotPlan
+from ..reports import BEAT_S, Beat, Report
 from ..settings import WorkerSettings
 from .engine_process import EngineProcess
 
 _PULSE_S = keys.SLOT_S / 3
+_HANGS_S = 60.0  # without a sign of the thread that does a job; longer than Redis may take to answer or not
 
 log = logging.getLogger(__name__)
 
@@ -30,16 +32,24 @@ class Slot:
     """What one slot has: a name, the job store, an engine process."""
 
     def __init__(
-        self, plan: SlotPlan, store: WorkerStore, engine: EngineProcess, settings: WorkerSettings
+        self,
+        plan: SlotPlan,
+        store: WorkerStore,
+        engine: EngineProcess,
+        settings: WorkerSettings,
+        report: Callable[[Report], None],
     ) -> None:
         self.plan, self.store, self.engine, self.settings = plan, store, engine, settings
+        self.report = report
         self.stop_at: float | None = None  # monotonic time by which a running job is given back
         self._state = SlotState.STARTING
         self._job_id: str | None = None
+        self._last_sign = time.monotonic()
         self._telling = threading.Lock()  # what is told last is true
         self._closed = False
         self._pulse_now = threading.Event()
         threading.Thread(target=self._pulse, name="pulse", daemon=True).start()
+        threading.Thread(target=self._beat, name="beat", daemon=True).start()
 
     @property
     def name(self) -> str:
@@ -56,12 +66,17 @@ class Slot:
     @contextmanager
     def busy_with(self, job: Job) -> Iterator[None]:
         """Inside, the slot is shown as busy and the lines of the log carry the job's ids."""
+        self.give_sign()
         self.show(SlotState.BUSY, job.id)
         with log_fields(fields_of(job)):
             try:
                 yield
             finally:
                 self._rest()
+
+    def give_sign(self) -> None:
+        """The thread that does a job has not hung; it says so at least every few seconds."""
+        self._last_sign = time.monotonic()
 
     def drain(self) -> None:
         """Take no other job; give the running one back after the grace period."""
@@ -95,12 +110,27 @@ class Slot:
             self._pulse_now.wait(_PULSE_S)
             self._pulse_now.clear()
 
+    def _beat(self) -> None:
+        """Report to the supervisor, whatever Redis does, unless a job hangs in this process."""
+        while not self._closed:
+            if self._state is not SlotState.BUSY or time.monotonic() - self._last_sign < _HANGS_S:
+                self.report(Beat(state=self._shown_state()))
+            time.sleep(BEAT_S)
+
+    def _shown_state(self) -> SlotState:
+        if self.stop_at is not None:
+            return SlotState.DRAINING
+        if self._state is SlotState.IDLE and not self.engine.warm:  # it died while idle
+            return SlotState.STARTING
+        return self._state
+
     def _tell(self) -> None:
         """Both threads do; the caller holds the lock."""
         if self._closed:
             return
-        state = self._state if self.stop_at is None else SlotState.DRAINING
-        status = SlotStatus(name=self.name, device=self.plan.device, state=state, job_id=self._job_id)
+        status = SlotStatus(
+            name=self.name, device=self.plan.device, state=self._shown_state(), job_id=self._job_id
+        )
         try:
             self.store.show(status)
         except RedisError as error:

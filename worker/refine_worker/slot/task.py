@@ -21,7 +21,8 @@ from refine_jobs.worker_store import LeaseLost
 from refine_proto.errors import Cancelled, Internal, RefineError
 
 from ..messages import Answered
-from .attempt import Attempt, Stopped
+from ..reports import AttemptEnded, Outcome
+from .attempt import Attempt, Lost, Stopped
 from .slot import SLOT, Slot
 
 _WRITE_FOR_S = 60.0  # how long a slot tries to write the end of a job while Redis is away
@@ -40,40 +41,50 @@ def run(job_id: str) -> None:
     with slot.busy_with(job):
         started = time.monotonic()
         log.info("started")
+        attempt = Attempt(slot, job)
         try:
-            _persist(_work(slot, job))
+            outcome, write = _work(slot, job, attempt)
+            _persist(slot, write)
         except LeaseLost as error:
             log.warning("%s; its result is dropped", error)
+            outcome = Outcome.LOST
+        slot.report(
+            AttemptEnded(outcome=outcome, preset=job.spec["options"]["preset"], stages=attempt.stages)
+        )
         log.info("ended", extra=fields(run_s=round(time.monotonic() - started, 3)))
 
 
-def _work(slot: Slot, job: Job) -> Callable[[], object]:
-    """Do the job; how its end is to be written. Raises LeaseLost."""
+def _work(slot: Slot, job: Job, attempt: Attempt) -> tuple[Outcome, Callable[[], object]]:
+    """Do the job; how it ended, and how that is to be written. Raises LeaseLost."""
     failure: RefineError
     try:
-        done = Attempt(slot, job).run()
+        done = attempt.run()
         if isinstance(done, Answered):
-            return partial(slot.store.answer, job, done.answer)
-        return partial(slot.store.finish, job, done.artifacts, done.judgement, done.checks)
+            return Outcome.SUCCEEDED, partial(slot.store.answer, job, done.answer)
+        return Outcome.SUCCEEDED, partial(slot.store.finish, job, done.artifacts, done.judgement, done.checks)
     except LeaseLost:
         raise
     except Cancelled:
-        return partial(slot.store.cancelled, job)
+        return Outcome.CANCELLED, partial(slot.store.cancelled, job)
     except (Stopped, SystemExit) as stop:
-        return partial(slot.store.give_back, job, str(stop))
+        return Outcome.RETURNED, partial(slot.store.give_back, job, str(stop))
+    except Lost as lost:
+        log.warning("lost: %s", lost)
+        return Outcome.LOST, partial(slot.store.lose, job, lost.error)
     except RefineError as error:
         failure = error
     except Exception as error:
         log.exception("the slot failed")
         failure = Internal(f"the worker failed ({type(error).__name__}); please report the request id")
     log.warning("failed: %s: %s", failure.reason, failure.detail)
-    return partial(slot.store.fail, job, failure)
+    return Outcome.FAILED, partial(slot.store.fail, job, failure)
 
 
-def _persist(write: Callable[[], object]) -> None:
+def _persist(slot: Slot, write: Callable[[], object]) -> None:
     """Write, also when Redis is away for a while. The fence of the lease makes a second try harmless."""
     give_up_at = time.monotonic() + _WRITE_FOR_S
     while True:
+        slot.give_sign()
         try:
             write()
             return
