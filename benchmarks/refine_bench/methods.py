@@ -118,7 +118,7 @@ def _engine(config: RefineConfig) -> Method:
     def method(case: Case, scene: Scene, seed: int) -> Outcome:
         result = refine(scene.coarse, [scene.view], replace(told(config, case), seed=seed))
         curve = result.loss_curve.get("total", ())  # none of a mesh that is returned as it came
-        return Outcome(result.mesh, result.seconds, result.confidence, tuple(curve))
+        return Outcome(result.mesh, result.seconds, result.confidence, result.plane, tuple(curve))
 
     return method
 
@@ -151,7 +151,8 @@ def _outcome(state: State, config: RefineConfig, started: float) -> Outcome:
     """As `refine` hands a state back: without its webs, if the config opens them."""
     faces = state.mesh.faces[state.there] if config.topology != "fixed" else state.mesh.faces
     curve = tuple(state.loss_curve.get("total", ()))
-    return Outcome(Mesh(state.mesh.vertices, faces), time.monotonic() - started, state.confidence, curve)
+    seconds = time.monotonic() - started
+    return Outcome(Mesh(state.mesh.vertices, faces), seconds, state.confidence, state.plane, curve)
 
 
 def _plugin(name: str) -> Method:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from refine_engine.values import Mesh
+from refine_engine.values import Mesh, MirrorPlane
 
 from .cases import Case, Scene
 
@@ -19,6 +19,7 @@ class Outcome:
     mesh: Mesh
     seconds: float
     confidence: Tensor | None = None  # (V,)
+    plane: MirrorPlane | None = None  # that the confidence is about
     loss_curve: Sequence[float] = ()
     queue_s: float | None = None  # waited for a slot; of a server only
 

@@ -19,7 +19,7 @@ import trimesh
 from PIL import Image
 
 from refine_engine.files.mesh_file import read_mesh
-from refine_engine.values import Camera, Mesh, View
+from refine_engine.values import Camera, Mesh, MirrorPlane, View
 
 from .cases import Case, Scene, SetInvalid
 from .outcome import Outcome
@@ -145,6 +145,11 @@ def _read(refined: Refined) -> Outcome:
         mesh,
         (finished - started).total_seconds(),
         confidence if len(confidence) == len(mesh.vertices) else None,  # per vertex of the mesh that was sent
+        _plane(refinement.mirror_plane),
         tuple(report["loss_curve"].get("total", ())),
         (started - created).total_seconds(),
     )
+
+
+def _plane(plane: Any) -> MirrorPlane | None:
+    return plane and MirrorPlane(torch.tensor(plane.normal), plane.offset, plane.error)

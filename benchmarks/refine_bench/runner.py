@@ -13,7 +13,7 @@ from refine_engine.errors import RefineError
 from refine_engine.scores.scores import Normalisation, evaluate
 from refine_engine.values import Mesh
 
-from .cases import Case, CaseSkipped, Scene
+from .cases import Case, CaseSkipped, Direction, Scene
 from .confidence import confidence_auc, mirror_distances
 from .methods import applies, seeds_of
 from .outcome import Method, Outcome
@@ -143,19 +143,23 @@ def score(plan: Plan, scene: Scene, mesh: Mesh) -> Scores:
 def measures(case: Case, scene: Scene, outcome: Outcome) -> Scores:
     """By MEASURES: the mean motion of the vertices in per cent of the longest side, where the result still
     has those of the coarse mesh; of the confidence its mean on a symmetric object, its AUC on an asymmetric
-    one, where the truth and its mirror plane are known."""
+    one, about the plane that the confidence is about, where the truth is known to be symmetric or not."""
     found: dict[str, float | None] = dict.fromkeys(MEASURES)
     coarse, refined = scene.coarse.vertices, outcome.mesh.vertices
     if coarse.shape == refined.shape:
         side = float((coarse.amax(0) - coarse.amin(0)).max())
         found["motion"] = 100.0 * float((refined - coarse).norm(dim=1).mean()) / side
-    truth, plane = scene.ground_truth, case.plane
-    if outcome.confidence is None or plane is None or plane.offset is None or not isinstance(truth, Mesh):
+    truth, true_plane, plane = scene.ground_truth, case.plane, outcome.plane
+    known = true_plane is not None and true_plane.offset is not None
+    if outcome.confidence is None or not known or not isinstance(truth, Mesh):
         return found
     if not case.asymmetric:
         return found | {"confidence_mean": float(outcome.confidence.mean())}
+    if plane is None:
+        return found
     used = outcome.mesh.faces.unique()
-    distances = mirror_distances(refined[used].double().numpy(), truth, plane.normal, plane.offset)
+    normal: Direction = tuple(plane.normal.tolist())
+    distances = mirror_distances(refined[used].double().numpy(), truth, normal, plane.offset)
     return found | {"confidence_auc": confidence_auc(outcome.confidence[used].double().numpy(), distances)}
 
 

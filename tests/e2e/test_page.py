@@ -72,7 +72,7 @@ def test_a_sample_is_refined_and_seen(page: Page, rest: httpx.Client, sample: st
     for words in (f"{iou['after']:.3f}", "with preset fast and seed 0"):
         expect(page.locator(".words")).to_contain_text(words)
     for colours, words in (
-        ("Symmetry confidence", "within 2.2 % of the object"),
+        ("Symmetry confidence", "0.5: 3.9 %"),
         ("Displacement", "was moved"),
     ):
         page.get_by_role("radio", name=colours).check()

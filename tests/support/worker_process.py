@@ -180,7 +180,11 @@ class Worker:
         return [supervisor, *supervisor.children(recursive=True)]
 
     def wait_until_ready(self, slots: int = 1) -> None:
-        wait_until(lambda: self.output.count(": ready on ") >= slots, f"{slots} warm slots")
+        def ready() -> bool:
+            assert self.process.poll() is None, f"the worker ended:\n{self._logs.read_text()[-2000:]}"
+            return self.output.count(": ready on ") >= slots
+
+        wait_until(ready, f"{slots} warm slots")
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
         self.process.send_signal(number)

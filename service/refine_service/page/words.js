@@ -54,6 +54,6 @@ export function confidenceWords(report) {
   const meaning = "How near the mirror image of a place comes to the mesh. It says nothing about how right the surface is.";
   if (report?.mirror_plane === null) return `${meaning} Here no mirror plane was found: 0 everywhere.`;
   if (!cost || report.config.learn_confidence) return `${meaning} 1: mirrored, 0: no mirror image.`;
-  const away = (confidence) => percent(Math.sqrt(cost / confidence));
-  return `${meaning} 1: within ${away(1)} of the object's size; 0.5: ${away(0.5)} away; 0.1: ${away(0.1)} away.`;
+  const away = (confidence) => percent(Math.sqrt(3 * cost * Math.sqrt(1 / confidence - 1)));
+  return `${meaning} 0.9: ${away(0.9)} of the object's size away; 0.5: ${away(0.5)}; 0.1: ${away(0.1)}.`;
 }

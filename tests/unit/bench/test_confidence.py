@@ -11,7 +11,7 @@ from refine_bench.confidence import confidence_auc, mirror_distances
 from refine_bench.outcome import Outcome
 from refine_bench.runner import measures
 from refine_bench.shapes import make_shape
-from refine_engine.values import Camera, Mesh, View
+from refine_engine.values import Camera, Mesh, MirrorPlane, View
 
 PLANE = Plane((0.0, 0.0, 1.0), 0.0)
 VIEW = View(torch.eye(32), Camera.look_at(30.0, 20.0, 1.6, 60.0, 32, 32))
@@ -47,6 +47,9 @@ def test_the_one_armrest_is_what_is_asymmetric() -> None:
     assert np.allclose(again, distances, atol=0.02)
 
 
+MADE = MirrorPlane(torch.tensor([0.0, 0.0, 1.0]), 0.0, None)
+
+
 def moved(mesh: Mesh, x: float) -> Mesh:
     return Mesh(mesh.vertices + torch.tensor([x, 0.0, 0.0]), mesh.faces)
 
@@ -61,7 +64,7 @@ def test_measures_are_mean_or_auc_and_how_far_the_vertices_moved() -> None:
     assert found["motion"] == pytest.approx(2.0 / side, rel=1e-3)
     arm = (chair.coarse.vertices[:, 2] > 0.1) & (chair.coarse.vertices[:, 1] > 0.05)
     asked = measures(
-        case("one_armed_chair", True), chair, Outcome(chair.coarse, 1.0, 1.0 - 0.9 * arm.float())
+        case("one_armed_chair", True), chair, Outcome(chair.coarse, 1.0, 1.0 - 0.9 * arm.float(), MADE)
     )
     assert asked["confidence_mean"] is None
     assert asked["confidence_auc"] is not None

@@ -187,6 +187,7 @@ class InProcess:
             created_at=start,
             started_at=start + timedelta(seconds=2),
             finished_at=start + timedelta(seconds=5),
+            mirror_plane=None,
         )
         return Answer(times, {name: directory / name for name in artifacts})
 

@@ -138,8 +138,8 @@ def test_an_added_arm_is_not_symmetric(ball: Mesh) -> None:
     faces = torch.cat([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]) + 162
     mesh = Mesh(torch.cat([ball.vertices, arm]), torch.cat([ball.faces, faces]))
     confidence = surface_confidence(mesh, PLANE, 1.0, 0.0005)
-    assert float(confidence[:162].median()) == 1.0
+    assert float(confidence[:162].median()) > 0.99
     end = confidence[162:][arm[:, 2] == 1.0]
-    torch.testing.assert_close(end, torch.full((4,), 0.0005 / 0.5**2), rtol=0.05, atol=0)
+    torch.testing.assert_close(end, torch.full((4,), (0.0015 / 0.5**2) ** 2), rtol=0.1, atol=0)
     twice = surface_confidence(mesh, PLANE, 2.0, 0.0005)[162:][arm[:, 2] == 1.0]
-    torch.testing.assert_close(twice, 4 * end)  # distances are in units of the scale
+    torch.testing.assert_close(twice, 16 * end, rtol=0.01, atol=0)  # distances are in units of the scale
