@@ -16,6 +16,8 @@ from refine_engine.files.mesh_file import read_mesh
 from refine_engine.scores.scores import SurfacePoints
 from refine_engine.values import Mesh, View
 
+from .upstream.network import Kind
+
 Direction = tuple[float, float, float]
 Truth = Mesh | SurfacePoints
 
@@ -46,6 +48,7 @@ class Scene:
     view: View
     ground_truth: Truth | None
     image: NDArray[np.uint8] | None = None  # (H, W, 3), where the set has one; what the network saw
+    network: Kind | None = None  # of ours, which made the coarse mesh
 
 
 @dataclass(frozen=True)

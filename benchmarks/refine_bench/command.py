@@ -157,7 +157,7 @@ def _synthetic(options: argparse.Namespace) -> list[Case]:
 
 def _upstream(options: argparse.Namespace) -> list[Case]:
     levels = options.level or SHIFTS
-    cases = upstream_cases(options.set_seed, options.count)
+    cases = upstream_cases(options.set_seed, options.count, options.network)
     return [case for case in cases if case.level in levels and (case.asymmetric or not options.asymmetric)]
 
 

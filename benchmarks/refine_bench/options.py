@@ -12,6 +12,7 @@ from .coarse_files import FRAMES
 from .families import FAMILIES
 from .methods import ABLATION, BASELINES, PLAIN, WHITE_BOX
 from .sets.synthetic import LEVELS
+from .upstream.network import KINDS as NETWORKS
 from .upstream.photos import LEVELS as SHIFTS
 from .variants import VARIANTS
 
@@ -56,6 +57,12 @@ def bench_parser() -> argparse.ArgumentParser:
         "upstream", parents=[common], help="objects made here, as our own network reconstructs them"
     )
     upstream.add_argument("--level", action="append", choices=SHIFTS, help="of domain shift (default: all)")
+    upstream.add_argument(
+        "--network",
+        choices=NETWORKS,
+        default="image",
+        help="what it knows: the image alone (default), or the camera too",
+    )
     upstream.add_argument("--set-seed", type=int, default=0, metavar="N", help="names the set (0)")
     upstream.add_argument("--count", type=_positive, default=26, metavar="N", help="cases per level (26)")
     upstream.add_argument("--asymmetric", action="store_true", help="only the asymmetric objects")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import cache
 
 import torch
 import torch.nn.functional as F
@@ -24,7 +23,8 @@ from refine_engine.values import Mesh
 
 from .cases import Case, CaseSkipped, Scene
 from .outcome import Outcome
-from .upstream.network import GRID, HALF_SIDE, Reconstruction, load_network
+from .sets.upstream import network
+from .upstream.network import GRID, HALF_SIDE, Reconstruction
 from .upstream.photos import Photo, sight_of
 from .upstream.reconstruct import surface
 
@@ -34,16 +34,16 @@ PRIOR = 0.1  # weight of the squared distance from the first code, over its squa
 RENDER_SIDE, SOFTNESS = 224, 3e-5  # pixels; squared normalised device units
 LEAST_SLOPE = 2.0  # logits per unit of length: where the field is flat the level set has no place to move to
 
-network = cache(load_network)
-
 
 def white_box(case: Case, scene: Scene, seed: int) -> Outcome:
-    """The mesh of the fine-tuned code; CaseSkipped where the set has no image. Nothing in it is random."""
-    if scene.image is None:
-        raise CaseSkipped("expected the image that the network saw, which this set does not have")
+    """The mesh of the fine-tuned code; CaseSkipped where the network is not ours. Nothing in it is random."""
+    if scene.image is None or scene.network is None:
+        raise CaseSkipped(
+            "expected a network of ours and the image that it saw, which this set does not have"
+        )
     started = time.monotonic()
     photo = Photo(scene.image, scene.view.silhouette.numpy() > 0.5, scene.view.camera)
-    mesh, curve = fine_tune(network(), photo)
+    mesh, curve = fine_tune(network(scene.network), photo)
     return Outcome(mesh, time.monotonic() - started, loss_curve=curve)
 
 

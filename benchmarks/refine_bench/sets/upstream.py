@@ -1,4 +1,4 @@
-"""What a network really gets wrong: photos of objects made here, reconstructed by the network of `upstream`.
+"""What a network really gets wrong: photos of objects made here, reconstructed by a network of `upstream`.
 
 A seed names a set, so that one can be developed on and another judged by. The levels are those of `photos`.
 """
@@ -17,7 +17,7 @@ from refine_engine.values import View
 
 from ..cases import Case, Scene, mesh_of
 from ..shapes import ASYMMETRIC
-from ..upstream.network import load_network
+from ..upstream.network import Kind, load_network
 from ..upstream.photos import CATEGORY, HELD_OUT, KNOWN, LEVELS, Photo, make_object, take_photo
 from ..upstream.reconstruct import reconstruct
 from .synthetic import MADE_PLANE
@@ -33,16 +33,17 @@ class Instance:
     number: int
     level: str
     seed: int
+    network: Kind = "image"
 
     @property
     def name(self) -> str:
         return f"{self.generator}_{self.number}_{self.level}"
 
 
-def upstream_cases(seed: int = 0, count: int = 16) -> list[Case]:
+def upstream_cases(seed: int = 0, count: int = 16, kind: Kind = "image") -> list[Case]:
     """`count` cases of each level, the kinds of objects in turn."""
     instances = [
-        Instance(kinds[k % len(kinds)], k // len(kinds), level, seed)
+        Instance(kinds[k % len(kinds)], k // len(kinds), level, seed, kind)
         for level in LEVELS
         for kinds in [HELD_OUT if level == "strong" else KNOWN]
         for k in range(count)
@@ -73,4 +74,5 @@ def make_scene(instance: Instance) -> Scene:
     """The object, its photo, and what the network makes of it."""
     shape, photo = photograph(instance)
     view = View(torch.from_numpy(photo.silhouette).float(), photo.camera)
-    return Scene(reconstruct(network(), photo), view, mesh_of(shape), photo.image)
+    coarse = reconstruct(network(instance.network), photo)
+    return Scene(coarse, view, mesh_of(shape), photo.image, instance.network)

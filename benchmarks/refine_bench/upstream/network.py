@@ -1,9 +1,11 @@
-"""The network: an image of 64 x 64 to occupancy on a grid of 40^3 in the object's frame; 2.1 million numbers.
+"""The networks: an image of 64 x 64 to occupancy on a grid of 40^3 in the object's frame.
 
-As occupancy networks do (Mescheder et al. 2019), it predicts in the frame in which all its objects stand
-alike, not in the camera's, from one code for the whole object. As DISN (Xu et al. 2019) it is told the camera
-and also looks up, on a coarse grid, what the image shows at each place. The decoder is convolutional: on a
-CPU a whole grid costs a hundredth of what a point-wise decoder takes.
+As occupancy networks do (Mescheder et al. 2019), both predict in the frame in which all their objects stand
+alike, not in the camera's, from one code for the whole object, with 2.1 million numbers. `image` knows the
+image alone, and so its mesh agrees with the silhouette only as well as it has understood the object.
+`camera`, as DISN (Xu et al. 2019), is told the camera and also looks up, on a coarse grid, what the image
+shows at each place: its outline is nearly right, and its errors lie along the view. The decoder is
+convolutional: on a CPU a whole grid costs a hundredth of what a point-wise decoder takes.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import math
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -28,7 +30,13 @@ POSE = 5  # numbers that say where the camera stood
 LATENT, HIDDEN = 192, 320
 SEED_CELLS, SEED_CHANNELS = 5, 48
 LOOK_CELLS, LOOK_CHANNELS = 10, 32  # of the grid on which the image is looked up
-WEIGHTS = Path(__file__).with_name("weights.npz")
+Kind = Literal["image", "camera"]
+KINDS: tuple[Kind, Kind] = ("image", "camera")
+
+
+def weights_of(kind: Kind) -> Path:
+    """Where this project's own weights are."""
+    return Path(__file__).with_name(f"weights_{kind}.npz")
 
 
 @dataclass(frozen=True)
@@ -45,25 +53,28 @@ class Code:
     """What the network makes of the photos before it decodes it."""
 
     latent: Tensor  # (B, 192), of the whole object
-    places: Tensor  # (B, 32, 10, 10, 10), of what the image shows where
+    places: Tensor | None  # (B, 32, 10, 10, 10), of what the image shows where; None: not looked up
 
 
 class Reconstruction(nn.Module):
     """Sights of B photos to logits of the occupancy (B, 40, 40, 40), axes x, y, z."""
 
-    def __init__(self) -> None:
+    def __init__(self, kind: Kind) -> None:
         super().__init__()
+        self.kind = kind
+        pose, look = (POSE, LOOK_CHANNELS) if kind == "camera" else (0, 0)
         self.near = nn.Sequential(*_down(3, 32), *_down(32, 64), *_down(64, 96))
         self.far = nn.Sequential(*_down(96, 128), nn.Conv2d(128, 48, 1), nn.ReLU(), nn.Flatten())
         self.turn = nn.Sequential(
-            nn.Linear(48 * 16 + POSE, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(),
+            nn.Linear(48 * 16 + pose, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(),
             nn.Linear(HIDDEN, LATENT),
         )  # fmt: skip
-        self.look = nn.Conv2d(96, LOOK_CHANNELS, 1)
+        if kind == "camera":
+            self.look = nn.Conv2d(96, look, 1)
         self.spread = nn.Linear(LATENT, SEED_CHANNELS * SEED_CELLS**3)
         self.grow = nn.Sequential(nn.BatchNorm3d(SEED_CHANNELS), nn.ReLU(), *_up(SEED_CHANNELS, 48))
         self.refine = nn.Sequential(
-            nn.Conv3d(48 + LOOK_CHANNELS, 48, 3, padding=1, bias=False), nn.BatchNorm3d(48), nn.ReLU(),
+            nn.Conv3d(48 + look, 48, 3, padding=1, bias=False), nn.BatchNorm3d(48), nn.ReLU(),
             *_up(48, 32),
             nn.Conv3d(32, 8, 3, padding=1),
         )  # fmt: skip
@@ -73,6 +84,8 @@ class Reconstruction(nn.Module):
 
     def encode(self, sight: Sight) -> Code:
         features = self.near(sight.images)  # (B, 96, 8, 8)
+        if self.kind == "image":
+            return Code(self.turn(self.far(features)), None)
         latent = self.turn(torch.cat([self.far(features), sight.poses], 1))
         cells = _cell_centres(LOOK_CELLS).reshape(-1, 3)
         homogeneous = torch.cat([cells, torch.ones_like(cells[:, :1])], 1)
@@ -84,8 +97,10 @@ class Reconstruction(nn.Module):
     def decode(self, code: Code) -> Tensor:
         """Logits (B, 40, 40, 40)."""
         seeds = self.spread(code.latent).reshape(-1, SEED_CHANNELS, SEED_CELLS, SEED_CELLS, SEED_CELLS)
-        both = torch.cat([self.grow(seeds), code.places], 1)
-        half = self.refine(both)  # (B, 8, 20, 20, 20): the channels are the octants of each cell
+        grown = self.grow(seeds)
+        half = self.refine(
+            grown if code.places is None else torch.cat([grown, code.places], 1)
+        )  # (B, 8, 20, 20, 20): the channels are the octants of each cell
         n = GRID // 2
         octants = half.reshape(-1, 2, 2, 2, n, n, n).permute(0, 4, 1, 5, 2, 6, 3)
         logits: Tensor = octants.reshape(-1, GRID, GRID, GRID)
@@ -123,10 +138,10 @@ def save_weights(network: Reconstruction, path: Path) -> None:
     path.write_bytes(stream.getvalue())
 
 
-def load_network(path: Path = WEIGHTS) -> Reconstruction:
+def load_network(kind: Kind, path: Path | None = None) -> Reconstruction:
     """Ready to predict: float32, weights and statistics fixed."""
-    network = Reconstruction()
-    with np.load(path) as stored:
+    network = Reconstruction(kind)
+    with np.load(path or weights_of(kind)) as stored:
         network.load_state_dict({name: torch.from_numpy(stored[name]) for name in stored.files})
     return network.float().eval().requires_grad_(False)
 

@@ -1,7 +1,8 @@
-"""Trains the network: `python -m refine_bench.upstream.train` writes weights like those of this project.
+"""Trains a network: `python -m refine_bench.upstream.train camera` writes weights like those of this project.
 
-Under half an hour on one core of an AMD EPYC: 3,150 objects in five images each, drawn here. Rounding differs
-from processor to processor, so every training gives another network, of the same quality.
+Under half an hour on one core of an AMD EPYC: 3,150 objects in five images each, drawn here; a quarter of an
+hour for those of `image`, which were made with `--objects 100 --steps 4000`. Rounding differs from processor
+to processor, so every training gives another network, of the same quality.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from ..coarsen import occupancy
-from .network import GRID, HALF_SIDE, WEIGHTS, Reconstruction, Sight, save_weights
+from .network import GRID, HALF_SIDE, KINDS, Kind, Reconstruction, Sight, save_weights, weights_of
 from .photos import ASSEMBLY, KNOWN, make_object, sight_of, take_photo
 
 OBJECTS, PHOTOS = 150, 5  # of each kind, of each object
-KINDS = (*KNOWN, *[ASSEMBLY] * 8)  # two in five objects belong to no category
+OBJECT_KINDS = (*KNOWN, *[ASSEMBLY] * 8)  # two in five objects belong to no category
 BATCH = 16
 LEARNING_RATE = 2e-3
 WARM_UP = 200  # steps
@@ -54,11 +55,11 @@ class Examples:
 
 
 def make_examples(objects: int, photos: int) -> Examples:
-    """Of `objects` objects of each of KINDS; always the same ones."""
+    """Of `objects` objects of each of OBJECT_KINDS; always the same ones."""
     made = [
         _example(kind, f"train/{number}/{place}", photos)
         for number in range(objects)
-        for place, kind in enumerate(KINDS)
+        for place, kind in enumerate(OBJECT_KINDS)
     ]
     return Examples(*(torch.stack(column) for column in zip(*made, strict=True)))
 
@@ -77,11 +78,13 @@ def _example(kind: str, name: str, photos: int) -> tuple[Tensor, Tensor, Tensor,
     )
 
 
-def train(examples: Examples, steps: int, seed: int = 0) -> Iterator[tuple[int, float, Reconstruction]]:
+def train(
+    kind: Kind, examples: Examples, steps: int, seed: int = 0
+) -> Iterator[tuple[int, float, Reconstruction]]:
     """Yields (step, loss, network) after every step; it is one and the same network, ready after the last."""
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    network = Reconstruction()
+    network = Reconstruction(kind)
     optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, LEARNING_RATE, total_steps=steps, pct_start=min(0.3, WARM_UP / steps)
@@ -101,7 +104,8 @@ def train(examples: Examples, steps: int, seed: int = 0) -> Iterator[tuple[int, 
 
 def main(argv: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m refine_bench.upstream.train", description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=WEIGHTS, metavar="FILE")
+    parser.add_argument("kind", choices=KINDS, help="what it knows: the image alone, or the camera as well")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="(in place of this project's own)")
     parser.add_argument("--objects", type=int, default=OBJECTS, metavar="N", help="per kind (%(default)s)")
     parser.add_argument("--steps", type=int, default=5_000, metavar="N", help="(%(default)s)")
     parser.add_argument("--threads", type=int, default=1, metavar="N")
@@ -111,11 +115,11 @@ def main(argv: list[str]) -> None:
     examples = make_examples(options.objects, PHOTOS)
     print(f"{len(examples.images)} objects in {time.monotonic() - started:.0f} s", flush=True)
     mean = 0.0
-    for step, loss, network in train(examples, options.steps):
+    for step, loss, network in train(options.kind, examples, options.steps):
         mean = loss if step == 0 else 0.99 * mean + 0.01 * loss
         if (step + 1) % 250 == 0 or step + 1 == options.steps:
             print(f"{step + 1} {mean:.5f} {time.monotonic() - started:.0f} s", flush=True)
-            save_weights(network, options.output)
+            save_weights(network, options.output or weights_of(options.kind))
 
 
 if __name__ == "__main__":

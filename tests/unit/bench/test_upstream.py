@@ -13,13 +13,15 @@ from refine_bench.upstream import train
 from refine_bench.upstream.network import (
     GRID,
     HALF_SIDE,
-    WEIGHTS,
+    KINDS,
     Code,
+    Kind,
     Reconstruction,
     Sight,
     load_network,
     pose_of,
     save_weights,
+    weights_of,
 )
 from refine_bench.upstream.photos import HELD_OUT, KNOWN, LEVELS, Photo, make_object, sight_of, take_photo
 from refine_bench.upstream.reconstruct import OCCUPANCY_LEVEL, surface
@@ -41,19 +43,22 @@ def volume(mesh: Mesh) -> float:
     return float((a * torch.linalg.cross(b, c)).sum() / 6)
 
 
-def test_the_network_turns_images_into_a_grid_and_its_weights_are_small(tmp_path: Path) -> None:
-    assert WEIGHTS.stat().st_size < 5_000_000
-    network = load_network()
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_network_turns_images_into_a_grid_and_its_weights_are_small(kind: Kind, tmp_path: Path) -> None:
+    assert weights_of(kind).stat().st_size < 5_000_000
+    network = load_network(kind)
     assert 1_500_000 < sum(p.numel() for p in network.parameters()) < 3_000_000
     sight = Sight(torch.rand(2, 3, 64, 64), torch.rand(2, 5), torch.eye(3, 4).repeat(2, 1, 1))
     logits = network(sight)
     assert logits.shape == (2, GRID, GRID, GRID)
     save_weights(network, tmp_path / "again.npz")
-    assert torch.equal(load_network(tmp_path / "again.npz")(sight), logits)
+    assert torch.equal(load_network(kind, tmp_path / "again.npz")(sight), logits)
+    elsewhere = Sight(sight.images, 1 - sight.poses, 2 * sight.projections)
+    assert torch.equal(network(elsewhere), logits) == (kind == "image")
 
 
 def test_the_channels_of_the_last_layer_are_the_octants_of_a_cell() -> None:
-    network = Reconstruction().eval()
+    network = Reconstruction("camera").eval()
     last = network.refine[-1]
     assert isinstance(last, torch.nn.Conv3d)
     assert last.bias is not None
@@ -107,26 +112,28 @@ def test_places_are_looked_up_where_the_camera_sees_them() -> None:
     seen = torch.cat([vertices, torch.ones(len(vertices), 1)], 1) @ sight.projections[0].T
     square = seen[:, :2] / seen[:, 2:]
     assert float(square.abs().max()) == pytest.approx(1 / 1.1, abs=0.02)
-    network = Reconstruction().eval()
+    network = Reconstruction("camera").eval()
     assert network.look.bias is not None
     with torch.no_grad():
         network.look.weight.zero_()
         network.look.bias.copy_(torch.arange(32.0))
         places = network.encode(sight).places
+    assert places is not None
     assert torch.allclose(places[0, :, 3, 4, 5], torch.arange(32.0))
 
 
+@pytest.mark.parametrize("kind", KINDS)
 def test_training_learns_and_writes_what_can_be_loaded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(train, "KINDS", ("table", "assembly"))
+    monkeypatch.setattr(train, "OBJECT_KINDS", ("table", "assembly"))
     monkeypatch.setattr(train, "BATCH", 4)
     examples = train.make_examples(objects=1, photos=2)
     assert examples.images.shape == (2, 2, 3, 64, 64)
-    losses = [loss for _, loss, _ in train.train(examples, steps=12)]
+    losses = [loss for _, loss, _ in train.train(kind, examples, steps=12)]
     assert losses[-1] < 0.7 * losses[0]
-    train.main(["--objects", "1", "--steps", "1", "-o", str(tmp_path / "weights.npz")])
-    load_network(tmp_path / "weights.npz")
+    train.main([kind, "--objects", "1", "--steps", "1", "-o", str(tmp_path / "weights.npz")])
+    load_network(kind, tmp_path / "weights.npz")
 
 
 def test_a_seed_names_a_set_and_levels_are_what_they_are_called() -> None:
@@ -134,7 +141,7 @@ def test_a_seed_names_a_set_and_levels_are_what_they_are_called() -> None:
     assert [case.level for case in cases] == [level for level in LEVELS for _ in range(5)]
     assert {case.name.rsplit("_", 2)[0] for case in cases if case.level == "strong"} == set(HELD_OUT)
     assert set(HELD_OUT) | set(KNOWN) == set(GENERATORS)
-    assert not set(HELD_OUT) & set(train.KINDS)
+    assert not set(HELD_OUT) & set(train.OBJECT_KINDS)
     first, again = cases[0].load(), upstream.upstream_cases(seed=5, count=1)[0].load()
     other = upstream.upstream_cases(seed=6, count=1)[0].load()
     assert torch.equal(first.coarse.vertices, again.coarse.vertices)
@@ -143,14 +150,15 @@ def test_a_seed_names_a_set_and_levels_are_what_they_are_called() -> None:
     )
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_a_case_has_its_truth_its_photo_and_a_mesh_that_resembles_it(level: str) -> None:
-    case = next(case for case in upstream.upstream_cases(seed=3, count=1) if case.level == level)
+@pytest.mark.parametrize(("level", "kind"), [*((level, "camera") for level in LEVELS), ("none", "image")])
+def test_a_case_has_its_truth_its_photo_and_a_mesh_that_resembles_it(level: str, kind: Kind) -> None:
+    case = next(case for case in upstream.upstream_cases(3, 1, kind) if case.level == level)
     scene: Scene = case.load()
     assert isinstance(scene.ground_truth, Mesh)
     assert silhouette_iou(scene.ground_truth, scene.view) == 1.0
     assert silhouette_iou(scene.coarse, scene.view) > 0.25
     assert len(scene.coarse.faces) <= 3000
+    assert scene.network == kind
     assert scene.image is not None
     assert scene.image.shape == (224, 224, 3)
     background = scene.image[scene.view.silhouette.numpy() < 0.5].astype(float)
