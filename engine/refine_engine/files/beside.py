@@ -35,6 +35,12 @@ def in_folder_of(path: Path) -> Beside:
     return read
 
 
+def stays_inside(uri: str) -> bool:
+    """Whether a URI means a file in the folder of whoever refers to it, or below, on any system."""
+    path = PurePosixPath(unquote(uri))
+    return not (path.is_absolute() or ".." in path.parts or "\\" in str(path) or ":" in str(path))
+
+
 def open_archive(data: bytes) -> tuple[str, bytes, Beside]:
     """Name and content of the one mesh in a zip archive, and the files beside it. Raises MeshInvalid."""
     try:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from refine_proto.formats import GLB_MAGIC
 
 from ..errors import FormatUnsupported, MeshInvalid
-from .beside import Beside
+from .beside import Beside, stays_inside
 
 Json = dict[str, Any]
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -45,14 +45,18 @@ _REFUSED = {
 
 @dataclass
 class Document:
-    """A glTF document with one buffer. `chunks` are GLB chunks of unknown type, kept as they came."""
+    """A glTF document with one buffer. `chunks` are GLB chunks of unknown type, kept as they came.
+
+    `warnings` say what of the file was left out.
+    """
 
     json: Json
     binary: bytearray
     chunks: bytes = b""
+    warnings: tuple[str, ...] = ()
 
     def copy(self) -> Document:
-        return Document(copy.deepcopy(self.json), bytearray(self.binary), self.chunks)
+        return Document(copy.deepcopy(self.json), bytearray(self.binary), self.chunks, self.warnings)
 
     def item(self, kind: str, index: object) -> Json:
         """The object number `index` of the top-level array `kind`."""
@@ -165,6 +169,7 @@ class Document:
 
 def parse(data: bytes, beside: Beside | None = None) -> Document:
     """Read a GLB or a glTF. Files that it refers to come from `beside`, and become part of the document."""
+    data, behind = _split_behind(data) if data[:4] == GLB_MAGIC else (data, 0)
     chunks = list(_glb_chunks(data)) if data[:4] == GLB_MAGIC else [(_JSON_CHUNK, data)]
     if not chunks or chunks[0][0] != _JSON_CHUNK:
         raise MeshInvalid("malformed GLB: expected its first chunk to be JSON")
@@ -172,8 +177,11 @@ def parse(data: bytes, beside: Beside | None = None) -> Document:
     has_binary = len(chunks) > 1 and chunks[1][0] == _BINARY_CHUNK
     rest = b"".join(struct.pack("<II", len(body), kind) + body for kind, body in chunks[1 + has_binary :])
     _refuse_unsupported(document)
-    _embed_files(document, beside or (lambda uri: None))
-    return Document(document, _join_buffers(document, chunks[1][1] if has_binary else None), rest)
+    warnings = _embed_files(document, beside or (lambda uri: None))
+    if behind:
+        warnings.append(f"{behind} bytes behind the end of the GLB were left out")
+    binary = _join_buffers(document, chunks[1][1] if has_binary else None)
+    return Document(document, binary, rest, tuple(warnings))
 
 
 def set_bounds(accessor: Json, values: NDArray[Any]) -> None:
@@ -181,15 +189,20 @@ def set_bounds(accessor: Json, values: NDArray[Any]) -> None:
     accessor["max"] = [float(x) for x in values.max(0)]
 
 
-def _glb_chunks(data: bytes) -> Iterator[tuple[int, bytes]]:
+def _split_behind(data: bytes) -> tuple[bytes, int]:
+    """The GLB as long as its header says, and how many bytes lie behind it."""
     if len(data) < 20:
         raise MeshInvalid(f"truncated GLB: expected a header of at least 20 bytes, got {len(data)}")
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise FormatUnsupported(f"expected GLB version 2, got {version}; export as glTF 2.0")
-    if length != len(data):
+    if not 20 <= length <= len(data):
         raise MeshInvalid(f"truncated or damaged GLB: its header says {length} bytes, got {len(data)}")
-    at = 12
+    return data[:length], len(data) - length
+
+
+def _glb_chunks(data: bytes) -> Iterator[tuple[int, bytes]]:
+    at, length = 12, len(data)
     while at < length:
         if at + 8 > length:
             raise MeshInvalid("truncated GLB: a chunk header is cut off")
@@ -248,15 +261,21 @@ def _refuse_unsupported(document: Json) -> None:
             raise FormatUnsupported(f"{_REFUSED[name]} ({name}) is not supported; export the mesh without it")
 
 
-def _embed_files(document: Json, beside: Beside) -> None:
-    """Every reference to an outside file as a `data:` URI."""
-    total = 0
+def _embed_files(document: Json, beside: Beside) -> list[str]:
+    """Every reference to an outside file as a `data:` URI. An image that is not there stays a reference.
+
+    Returns a warning about those.
+    """
+    total, missing = 0, list[str]()
     for kind in ("buffers", "images"):
         for item in document.get(kind, []):
             uri = item.get("uri")
             if uri is None or str(uri).startswith("data:"):
                 continue
             content = beside(str(uri))
+            if content is None and kind == "images" and stays_inside(str(uri)):
+                missing.append(f"{uri!r:.60}")
+                continue
             if content is None:
                 raise FormatUnsupported(
                     f"expected embedded data, got the outside file {uri!r:.60}; export as .glb, "
@@ -268,6 +287,12 @@ def _embed_files(document: Json, beside: Beside) -> None:
             suffix = PurePosixPath(str(uri)).suffix.lower()
             kind_of_data = media.get(suffix, "application/octet-stream")
             item["uri"] = f"data:{kind_of_data};base64,{base64.b64encode(content).decode()}"
+    if not missing:
+        return []
+    return [
+        f"{len(missing)} images are not there (first: {missing[0]}); the result refers to them as the file "
+        "did: put them beside it, or send all in a .zip"
+    ]
 
 
 def _join_buffers(document: Json, chunk: bytes | None) -> bytearray:

@@ -161,12 +161,11 @@ def read_mesh(
             name, data, beside = open_archive(data)
             if (kind := recognise_mesh(data, name)) is MeshFormat.ZIP:
                 raise MeshInvalid(f"expected a mesh file in the archive, got another archive {name!r:.60}")
-    left_out: tuple[str, ...] = ()
     with _malformed(kind):
         if kind in (MeshFormat.GLB, MeshFormat.GLTF):
             document = gltf.parse(data, beside)
         else:
-            document, left_out = read_polygons(data, kind, limits)
+            document = read_polygons(data, kind, limits)
         scene = read_scene(document, limits)
         overwritable = overwritable_accessors(document, {placement.node for placement in scene.placements})
     positions = scene.world_positions()
@@ -175,7 +174,7 @@ def read_mesh(
         raise MeshInvalid(f"expected triangles with an area, got {len(scene.faces)} whose corners coincide")
     limits.check_welded(len(welded.source_of))
     vertices = torch.from_numpy(positions[welded.source_of].astype(np.float32))
-    warnings = [*left_out, *scene.warnings]
+    warnings = [*document.warnings, *scene.warnings]
     if dropped := len(scene.faces) - len(welded.faces):
         warnings.append(
             f"{dropped} of {len(scene.faces)} triangles have corners that coincide and were left out"

@@ -61,7 +61,7 @@ def _polygons(prefix: bytes, vertices: list[list[bytes]], faces: list[list[bytes
             values = np.array([c[:3] if len(c) >= 3 else [b"nan"] * 3 for c in told], np.float64)
             white = np.isnan(values).any(1)
             rgba = colours(values, _full(values, [word for colour in told for word in colour]))
-            rgba[white] = 255
+            rgba[white] = 65535
             of_corner["COLOR_0"] = rgba, np.repeat(np.arange(len(faces)), sizes)
     elif any(told):
         warnings.append("the colours of the faces are numbers of a table that OFF does not hold; left out")

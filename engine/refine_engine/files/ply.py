@@ -235,7 +235,7 @@ def _of_vertex(vertex: _Element) -> Part:
     return part
 
 
-def _colours(element: _Element) -> NDArray[np.uint8] | None:
+def _colours(element: _Element) -> NDArray[np.uint16] | None:
     kinds = {name: kind for name, kind, size in element.properties if not size}
     for names in _RGB:
         if all(name in kinds for name in names):

@@ -29,12 +29,14 @@ _UTF8_MARK = b"\xef\xbb\xbf"
 MATTE: Json = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}, "doubleSided": True}
 
 
-def read_polygons(data: bytes, kind: str, limits: MeshLimits) -> tuple[Document, tuple[str, ...]]:
-    """Read a file of `kind` obj, ply, stl or off, and say what was left out. Raises MeshInvalid."""
+def read_polygons(data: bytes, kind: str, limits: MeshLimits) -> Document:
+    """Read a file of `kind` obj, ply, stl or off. Raises MeshInvalid."""
     with np.errstate(all="ignore"):  # a colour that is NaN must not cost the mesh
         polygons = _READERS[kind](data.removeprefix(_UTF8_MARK), limits)
         parts = polygons.parts(limits)
-    return mesh_document([_joined(part) for part in parts] if kind == "stl" else parts), polygons.warnings
+    document = mesh_document([_joined(part) for part in parts] if kind == "stl" else parts)
+    document.warnings = polygons.warnings
+    return document
 
 
 def mesh_document(parts: list[Part], material: Json = MATTE) -> Document:
@@ -50,7 +52,7 @@ def mesh_document(parts: list[Part], material: Json = MATTE) -> Document:
             for name, values in part.items()
             if name != "faces"
         }
-        if "COLOR_0" in part and part["COLOR_0"].dtype == np.uint8:
+        if "COLOR_0" in part and part["COLOR_0"].dtype == np.uint16:
             document.item("accessors", attributes["COLOR_0"])["normalized"] = True
         faces = part["faces"].astype("<u4").reshape(-1, 1)
         indices = document.append(faces, target=ELEMENT_ARRAY_BUFFER)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MeshInvalid
+from .colour_scale import linear_light
 from .limits import MeshLimits
 from .triangulate import triangulate
 from .weld import Floats, Ints
@@ -83,9 +84,13 @@ def texture_coordinates(uv: Floats) -> NDArray[np.float32]:
     return np.where(np.abs(flipped) <= 1e30, flipped, 0.0).astype("<f4")
 
 
-def colours(values: Floats, full: float) -> NDArray[np.uint8]:
-    """RGBA (N, 4) of 8 bits from colours (N, 3 or 4) of which `full` is the largest value."""
-    scaled = np.nan_to_num(values * (255.0 / full), nan=0.0, posinf=255.0, neginf=0.0)
-    rgba = np.full((len(values), 4), 255, np.uint8)
-    rgba[:, : values.shape[1]] = np.clip(np.round(scaled), 0, 255)
-    return rgba
+def colours(values: Floats, full: float) -> NDArray[np.uint16]:
+    """RGBA (N, 4) for glTF, linear, in 16 bits, from sRGB (N, 3 or 4) of which `full` is the largest value.
+
+    8 bits would not tell the dark colours of sRGB apart any more.
+    """
+    scaled = np.clip(np.nan_to_num(values / full, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    rgba = np.ones((len(values), 4))
+    rgba[:, : values.shape[1]] = scaled
+    rgba[:, :3] = linear_light(rgba[:, :3])
+    return np.round(rgba * 65535).astype("<u2")

@@ -123,7 +123,7 @@ def test_refused_with_a_reason(
 
 def test_a_container_that_lies_about_its_length(tools: Any) -> None:
     data = changed(tools, lambda g: None)
-    for broken in (data[:-5], data + b"\0\0\0\0", data[:12], data[:4]):
+    for broken in (data[:-5], data[:12], data[:4], data[:8] + struct.pack("<I", 12) + data[12:]):
         with pytest.raises(MeshInvalid, match="GLB"):
             read_mesh(broken, "a.glb")
     with pytest.raises(FormatUnsupported, match="version 2"):
@@ -132,6 +132,16 @@ def test_a_container_that_lies_about_its_length(tools: Any) -> None:
         read_mesh(b"{" * 200_000, "a.gltf")
     with pytest.raises(MeshInvalid, match="JSON"):
         read_mesh(b'{"asset": {"version": "2.0"}, "x": NaN}', "a.gltf")
+
+
+def test_bytes_behind_a_glb_are_left_out_with_a_warning(tools: Any) -> None:
+    data = changed(tools, lambda g: None)
+    for behind in (b"\0", b"\0\0\0\0", b"\r\n--boundary--"):
+        file = read_mesh(data + behind, "a.glb")
+        assert f"{len(behind)} bytes behind the end of the GLB" in file.warnings[0]
+        vertices = file.mesh.vertices
+        written = file.with_vertices(vertices, torch.ones(len(vertices)))
+        assert not read_mesh(written, "a.glb").warnings
 
 
 def test_limits_count_every_instance(tools: Any) -> None:

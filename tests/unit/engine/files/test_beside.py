@@ -62,6 +62,15 @@ def test_a_gltf_is_read_with_the_files_beside_it(parts: dict[str, bytes], tmp_pa
         read_mesh(path.read_bytes(), path.name)
 
 
+def test_a_missing_image_does_not_cost_the_mesh(parts: dict[str, bytes], tools: Any) -> None:
+    """The reference stays, so that the image works again once it lies beside the result."""
+    del parts["textures/a.png"]
+    file = read_mesh(packed(parts), "mesh.zip")
+    assert "1 images are not there (first: 'textures/a.png')" in file.warnings[0]
+    head = tools.split_glb(file.with_vertices(file.mesh.vertices, torch.ones(8)))[0]
+    assert head["images"] == [{"uri": "textures/a.png"}]
+
+
 def test_nothing_outside_the_folder_is_read(tmp_path: Path) -> None:
     (tmp_path / "secret").write_bytes(b"x")
     inner = tmp_path / "inner"

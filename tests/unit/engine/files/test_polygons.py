@@ -12,6 +12,7 @@ import torch
 import trimesh
 
 from refine_engine.errors import FormatUnsupported, InputError, MeshInvalid
+from refine_engine.files import gltf
 from refine_engine.files.mesh_file import MeshLimits, read_mesh
 
 SQUARE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -70,14 +71,20 @@ def test_ply_vertex_colours_survive(tools: Any) -> None:
         b"0 1 0 0 0 200\n3 0 1 2\n"
     )
     file = read_mesh(text, "no suffix")
-    head, binary = tools.split_glb(file.with_vertices(file.mesh.vertices, torch.ones(3)))
-    accessor = head["accessors"][head["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
-    start = head["bufferViews"][accessor["bufferView"]]["byteOffset"]
-    assert np.frombuffer(binary, np.uint8, 12, start).reshape(3, 4)[:, :3].tolist() == [
-        [255, 0, 0],
-        [0, 255, 0],
-        [0, 0, 200],
-    ]
+    document = gltf.parse(file.with_vertices(file.mesh.vertices, torch.ones(3)))
+    rgba = document.read(document.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"])
+    # 200 of sRGB's 255 is 0.578 of the light, which is what glTF counts in
+    expected = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 0.5776, 1.0]]
+    np.testing.assert_allclose(rgba, expected, atol=1e-4)
+
+
+def test_dark_vertex_colours_stay_apart(tools: Any) -> None:
+    """8 bits of linear light would make one of the first 13 levels."""
+    rows = "".join(f"v {i} {i % 2} {i % 3} {i / 255} 0 0\n" for i in range(12))
+    file = read_mesh((rows + "".join(f"f {i} {i + 1} {i + 2}\n" for i in range(1, 11))).encode(), "a.obj")
+    document = gltf.parse(file.with_vertices(file.mesh.vertices, torch.ones(12)))
+    rgba = document.read(document.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"])
+    assert (np.diff(rgba[:, 0]) > 0).all()
 
 
 def test_stl_corners_are_joined_for_good(tools: Any) -> None:
