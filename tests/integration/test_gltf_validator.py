@@ -17,6 +17,7 @@ import trimesh
 from PIL import Image
 
 from refine_engine.files.mesh_file import read_mesh
+from refine_engine.files.polygons import mesh_document
 
 PACKAGE = "gltf-validator@2.0.0-dev.3.10"
 ROOT = Path(__file__).parents[2]
@@ -86,7 +87,23 @@ def inputs() -> dict[str, bytes]:
     kinds = ("obj", "ply", "stl", "off", "glb")
     exported = {f"plain.{kind}": sphere().export(file_type=kind) for kind in kinds}
     exported |= {"scene.glb": scene.export(file_type="glb"), "coloured.ply": coloured.export(file_type="ply")}
+    exported["tangents.glb"] = anisotropic()
     return {name: data.encode() if isinstance(data, str) else data for name, data in exported.items()}
+
+
+def anisotropic() -> bytes:
+    """A material that needs tangents, and has no texture from which a viewer could derive them."""
+    mesh = sphere()
+    normals = np.asarray(mesh.vertex_normals, np.float32)
+    along = np.cross(normals, [0.1, 1.0, 0.2])
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    tangents = np.concatenate([along, np.ones((len(along), 1))], 1).astype(np.float32)
+    part = {"POSITION": mesh.vertices.astype(np.float32), "NORMAL": normals, "TANGENT": tangents}
+    extension = "KHR_materials_anisotropy"
+    material = {"extensions": {extension: {"anisotropyStrength": 0.5}}}
+    document = mesh_document([{**part, "faces": np.asarray(mesh.faces)}], material)
+    document.json["extensionsUsed"] = [extension]
+    return document.to_glb()
 
 
 def samples() -> dict[str, bytes]:

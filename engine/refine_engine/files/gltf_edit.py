@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .gltf import ELEMENT_ARRAY_BUFFER, TYPES, Document, Json, set_bounds
-from .gltf_geometry import TRIANGLES, Placement, local_triangles, triangle_primitives
-from .weld import Floats
+from .gltf_geometry import TRIANGLES, Placement, local_triangles, triangle_primitives, vectors
+from .tangents import carried_tangents
+from .weld import Floats, Ints
 
 CONFIDENCE = "_SYMMETRY_CONFIDENCE"
-_EDITED = ("POSITION", "NORMAL", CONFIDENCE)
+_EDITED = ("POSITION", "NORMAL", "TANGENT", CONFIDENCE)
 _MAX_OVERLAP = 8  # times the buffer: what the accessors of a sane file cover in all
 
 
@@ -35,9 +36,8 @@ def move_vertices(
     """A copy of `document` with new local positions (S, 3), normals (S, 3) and the confidence attribute (S,).
 
     `overwritable` comes from `overwritable_accessors`. A mesh that several nodes use is given to each of them
-    as its own copy, since the refined instances differ. Normals are written where the document has some;
-    tangents are dropped: viewers derive them from normals and texture coordinates, and kept ones would be
-    wrong.
+    as its own copy, since the refined instances differ. Normals and tangents are written where the document
+    has some; tangents without normals, which mean nothing, are dropped.
     """
     edited = document.copy()
     by_node: dict[int, dict[int, Placement]] = {}
@@ -47,21 +47,47 @@ def move_vertices(
     free = set(overwritable)
     values = {"POSITION": positions, "NORMAL": normals, CONFIDENCE: confidence[:, None]}
     for number, of_accessor in by_node.items():
-        written: dict[tuple[str, int], int] = {}
-        for primitive in triangle_primitives(edited.item("meshes", edited.item("nodes", number)["mesh"])):
+        mesh = edited.item("meshes", edited.item("nodes", number)["mesh"])
+        tangents = _carried(document, mesh, of_accessor, positions, normals)
+        written: dict[tuple[str, int, int | None], int] = {}
+        for primitive in triangle_primitives(mesh):
             attributes = primitive["attributes"]
             placement = of_accessor[attributes["POSITION"]]
-            for name in _EDITED:
-                if name == "NORMAL" and name not in attributes:
-                    continue
-                key = name, placement.accessor
+            new = {name: part[placement.source] for name, part in values.items()}
+            if "NORMAL" not in attributes:
+                del new["NORMAL"]
+                attributes.pop("TANGENT", None)
+            if (was := attributes.get("TANGENT")) is not None:
+                new["TANGENT"] = tangents[placement.accessor, was]
+            for name, part in new.items():
+                key = name, placement.accessor, was if name == "TANGENT" else None
                 if key not in written:
-                    part = values[name][placement.source].astype("<f4")
-                    written[key] = _write(edited, free, attributes.get(name), part, bounds=name == "POSITION")
+                    was_there, bounds = attributes.get(name), name == "POSITION"
+                    written[key] = _write(edited, free, was_there, part.astype("<f4"), bounds=bounds)
                 attributes[name] = written[key]
-            for owner in (attributes, *primitive.get("targets", [])):
-                owner.pop("TANGENT", None)
     return edited
+
+
+def _carried(
+    document: Document, mesh: Json, of_accessor: dict[int, Placement], positions: Floats, normals: Floats
+) -> dict[tuple[int, int], Floats]:
+    """New tangents (N, 4) by the accessors of POSITION and TANGENT that primitives of one mesh share."""
+    faces: dict[tuple[int, int], list[Ints]] = {}
+    for primitive in triangle_primitives(mesh):
+        attributes = primitive["attributes"]
+        if {"NORMAL", "TANGENT"} <= attributes.keys():
+            shared = attributes["POSITION"], attributes["TANGENT"]
+            faces.setdefault(shared, []).append(local_triangles(document, primitive))
+    return {
+        (place, tangent): carried_tangents(
+            vectors(document, {"TANGENT": tangent}, "TANGENT", 4, len(of_accessor[place].positions)),
+            of_accessor[place].positions,
+            positions[of_accessor[place].source],
+            np.concatenate(parts),
+            normals[of_accessor[place].source],
+        )
+        for (place, tangent), parts in faces.items()
+    }
 
 
 def keep_triangles(document: Document, placements: Sequence[Placement], kept: NDArray[np.bool_]) -> None:

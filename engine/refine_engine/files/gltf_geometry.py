@@ -241,7 +241,7 @@ def _place(
     document: Document, number: int, primitive: Json, start: int, matrices: dict[int, Floats]
 ) -> Placement:
     attributes, node = primitive["attributes"], document.item("nodes", number)
-    positions = _vectors(document, attributes, "POSITION", 3)
+    positions = vectors(document, attributes, "POSITION", 3)
     if not np.isfinite(positions).all():
         bad = int((~np.isfinite(positions)).any(1).sum())
         raise MeshInvalid(
@@ -249,8 +249,10 @@ def _place(
         )
     normals = np.zeros_like(positions)
     if "NORMAL" in attributes:
-        normals = _vectors(document, attributes, "NORMAL", 3, len(positions))
+        normals = vectors(document, attributes, "NORMAL", 3, len(positions))
         normals = np.where(np.isfinite(normals).all(1, keepdims=True), normals, 0.0)
+    if "TANGENT" in attributes:  # now, not after the optimisation
+        vectors(document, attributes, "TANGENT", 4, len(positions))
     if "skin" in node:
         matrix = _skin_matrices(document, node, attributes, len(positions), matrices)
     else:
@@ -262,9 +264,10 @@ def _place(
     return Placement(number, attributes["POSITION"], start, positions, normals, matrix)
 
 
-def _vectors(
+def vectors(
     document: Document, attributes: Json, name: str, components: int, count: int | None = None
 ) -> NDArray[np.float64]:
+    """The elements (N, components) of an attribute, `count` of them. Raises MeshInvalid."""
     announced = document.item("accessors", attributes.get(name)).get("count")
     if count is not None and announced != count:
         raise MeshInvalid(f"malformed glTF: {name} has {announced!r:.20} elements, POSITION has {count}")
@@ -330,8 +333,8 @@ def _skin_matrices(
     blended, total = np.zeros((count, 4, 4)), np.zeros(count)
     influences = 0
     while f"JOINTS_{influences}" in attributes:
-        index = _vectors(document, attributes, f"JOINTS_{influences}", 4, count).astype(np.int64)
-        weight = _vectors(document, attributes, f"WEIGHTS_{influences}", 4, count)
+        index = vectors(document, attributes, f"JOINTS_{influences}", 4, count).astype(np.int64)
+        weight = vectors(document, attributes, f"WEIGHTS_{influences}", 4, count)
         if index.size and (index.min() < 0 or index.max() >= len(joints)):
             raise MeshInvalid(
                 f"malformed glTF: expected joints from 0 to {len(joints) - 1}, got {index.max()}"

@@ -63,9 +63,9 @@ class MeshFile:
     def with_vertices(self, vertices: Tensor, confidence: Tensor, kept: Tensor | None = None) -> bytes:
         """The file as a GLB with moved vertices (V, 3) in world units and their symmetry confidence (V,).
 
-        Positions, normals, bounds and the attribute `_SYMMETRY_CONFIDENCE` are new, tangents are dropped, all
-        else is as it was read. Vertices that no triangle uses stay where they are, with confidence 0. Of the
-        mesh's triangles only those of `kept` (F,) bool are written, where that leaves a primitive any.
+        Positions, normals, tangents, bounds and the attribute `_SYMMETRY_CONFIDENCE` are new, all else is as
+        it was read. Vertices that no triangle uses stay where they are, with confidence 0. Of the mesh's
+        triangles only those of `kept` (F,) bool are written, where that leaves a primitive any.
         """
         self._check(vertices, confidence)
         of_source = self._weld.vertex_of

@@ -35,16 +35,16 @@ def test_nodes_place_their_meshes(tools: Any) -> None:
     assert mesh.faces.tolist() == [[0, 1, 2]]
 
 
-def test_only_positions_normals_bounds_and_confidence_change(tools: Any, textured: bytes) -> None:
+def test_only_positions_normals_tangents_bounds_and_confidence_change(tools: Any, textured: bytes) -> None:
     file = read_mesh(textured, "a.glb")
     assert (len(file.mesh.vertices), len(file.mesh.faces), len(file.vertex_of_source)) == (8, 12, 24)
     vertices, confidence = displaced(file)
     refined = file.with_vertices(vertices, confidence)
     (old, old_bytes), (new, new_bytes) = tools.split_glb(textured), tools.split_glb(refined)
 
-    assert (
-        new_bytes[24 * 24 + 72 : len(old_bytes)] == old_bytes[24 * 24 + 72 :]
-    )  # all behind POSITION, indices, NORMAL
+    behind_normals = 24 * 24 + 72  # POSITION, indices, NORMAL; then TEXCOORD_0, TANGENT
+    for start, end in ((behind_normals, behind_normals + 24 * 8), (behind_normals + 24 * 24, len(old_bytes))):
+        assert new_bytes[start:end] == old_bytes[start:end]
     assert new_bytes[288 : 288 + 72] == old_bytes[288 : 288 + 72]  # indices
     for key in [
         "scene",
@@ -65,7 +65,13 @@ def test_only_positions_normals_bounds_and_confidence_change(tools: Any, texture
         }
     attributes = new["meshes"][0]["primitives"][0]["attributes"]
     added = len(old["accessors"])
-    assert attributes == {"POSITION": 0, "NORMAL": 2, "TEXCOORD_0": 3, "_SYMMETRY_CONFIDENCE": added}
+    assert attributes == {
+        "POSITION": 0,
+        "NORMAL": 2,
+        "TEXCOORD_0": 3,
+        "TANGENT": 4,
+        "_SYMMETRY_CONFIDENCE": added,
+    }
     written = tools.values(refined, 0)
     assert new["accessors"][0]["min"] == written.min(0).tolist()
     assert new["accessors"][0]["max"] == written.max(0).tolist()
