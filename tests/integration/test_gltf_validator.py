@@ -3,10 +3,12 @@ present."""
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
 import subprocess
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ import torch
 import trimesh
 from PIL import Image
 
+from refine_engine.files.materials import Material
 from refine_engine.files.mesh_file import read_mesh
 from refine_engine.files.polygons import mesh_document
 
@@ -87,8 +90,22 @@ def inputs() -> dict[str, bytes]:
     kinds = ("obj", "ply", "stl", "off", "glb")
     exported = {f"plain.{kind}": sphere().export(file_type=kind) for kind in kinds}
     exported |= {"scene.glb": scene.export(file_type="glb"), "coloured.ply": coloured.export(file_type="ply")}
-    exported["tangents.glb"] = anisotropic()
+    exported |= {"tangents.glb": anisotropic(), "materials.zip": archive()}
     return {name: data.encode() if isinstance(data, str) else data for name, data in exported.items()}
+
+
+def archive() -> bytes:
+    """OBJ with two materials and a texture."""
+    faces = "usemtl skin\nf 1/1 2/2 3/3\nusemtl glass\nf 1/1 3/3 4/1\n"
+    mesh = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nvt 0 0\nvt 1 0\nvt 1 1\n" + faces
+    image, target = io.BytesIO(), io.BytesIO()
+    Image.new("RGBA", (4, 4), (9, 200, 30, 128)).save(image, "PNG")
+    with zipfile.ZipFile(target, "w") as packed:
+        packed.writestr("a.obj", mesh)
+        materials = "newmtl skin\nmap_Kd a.png\nmap_d a.png\nnewmtl glass\nKd 1 0 0\nd 0.5\nKe 1 1 0\n"
+        packed.writestr("a.mtl", materials)
+        packed.writestr("a.png", image.getvalue())
+    return target.getvalue()
 
 
 def anisotropic() -> bytes:
@@ -100,8 +117,8 @@ def anisotropic() -> bytes:
     tangents = np.concatenate([along, np.ones((len(along), 1))], 1).astype(np.float32)
     part = {"POSITION": mesh.vertices.astype(np.float32), "NORMAL": normals, "TANGENT": tangents}
     extension = "KHR_materials_anisotropy"
-    material = {"extensions": {extension: {"anisotropyStrength": 0.5}}}
-    document = mesh_document([{**part, "faces": np.asarray(mesh.faces)}], material)
+    material = Material({"extensions": {extension: {"anisotropyStrength": 0.5}}})
+    document = mesh_document([({**part, "faces": np.asarray(mesh.faces)}, material)])
     document.json["extensionsUsed"] = [extension]
     return document.to_glb()
 

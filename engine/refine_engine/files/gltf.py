@@ -137,13 +137,9 @@ class Document:
 
     def append(self, values: NDArray[Any], *, target: int = ARRAY_BUFFER, bounds: bool = False) -> int:
         """Add elements (count, components) in a bufferView of their own; returns the accessor's index."""
-        self.binary.extend(b"\0" * (-len(self.binary) % 4))
-        view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": values.nbytes, "target": target}
-        self.binary.extend(np.ascontiguousarray(values).tobytes())
-        self.json.setdefault("bufferViews", []).append(view)
         code = next(code for code, dtype in _DTYPES.items() if np.dtype(dtype) == values.dtype)
         accessor: Json = {
-            "bufferView": len(self.json["bufferViews"]) - 1,
+            "bufferView": self.append_bytes(np.ascontiguousarray(values).tobytes(), target=target),
             "componentType": code,
             "count": len(values),
             "type": TYPES[values.shape[1]],
@@ -152,6 +148,14 @@ class Document:
         if bounds:
             set_bounds(accessor, values)
         return len(self.json["accessors"]) - 1
+
+    def append_bytes(self, data: bytes, **view: Any) -> int:
+        """Add a bufferView; returns its index."""
+        self.binary.extend(b"\0" * (-len(self.binary) % 4))
+        views = self.json.setdefault("bufferViews", [])
+        views.append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data), **view})
+        self.binary.extend(data)
+        return len(views) - 1
 
     def to_glb(self) -> bytes:
         head = {key: value for key, value in self.json.items() if key != "buffers"}

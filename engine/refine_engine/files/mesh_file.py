@@ -25,7 +25,8 @@ from .colour_scale import confidence_colours, linear_light
 from .gltf_edit import CONFIDENCE, keep_triangles, move_vertices, overwritable_accessors
 from .gltf_geometry import SceneGeometry, read_scene, triangle_primitives
 from .limits import MeshLimits, one_line, refused_as
-from .polygons import MATTE, mesh_document, read_polygons
+from .materials import MATTE, Material
+from .polygons import mesh_document, read_polygons
 from .weld import Floats, Ints, Weld, smooth_groups, vertex_normals, weld
 
 __all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "read_mesh"]
@@ -120,8 +121,9 @@ class MeshFile:
             CONFIDENCE: confidence.detach().cpu().numpy().astype("<f4")[:, None],
             "faces": shown,
         }
-        unlit = MATTE | {"extensions": {UNLIT: {}}}  # matte for viewers that light it all the same
-        document = mesh_document([part], unlit)
+        # matte for viewers that light it all the same
+        unlit = Material({**MATTE.json, "extensions": {UNLIT: {}}})
+        document = mesh_document([(part, unlit)])
         document.json["extensionsUsed"] = [UNLIT]
         return document.to_glb()
 
@@ -153,7 +155,7 @@ def read_mesh(
     """Read a GLB, glTF, OBJ, PLY, STL or OFF file, or a ZIP archive of one and the files that it refers to.
 
     The format is decided by the content where it can be, else by the suffix of `name`. `beside` gives the
-    files that a mesh refers to; without it only embedded data is read.
+    files that a mesh refers to (buffers, images, materials); without it only embedded data is read.
     Raises FormatUnsupported or MeshInvalid.
     """
     with refused_as(MeshInvalid):
@@ -165,7 +167,7 @@ def read_mesh(
         if kind in (MeshFormat.GLB, MeshFormat.GLTF):
             document = gltf.parse(data, beside)
         else:
-            document = read_polygons(data, kind, limits)
+            document = read_polygons(data, kind, limits, beside)
         scene = read_scene(document, limits)
         overwritable = overwritable_accessors(document, {placement.node for placement in scene.placements})
     positions = scene.world_positions()

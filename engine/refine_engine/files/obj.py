@@ -11,7 +11,6 @@ import numpy as np
 from ..errors import MeshInvalid
 from .limits import MeshLimits
 from .surface import Polygons, colours, texture_coordinates
-from .weld import Ints
 
 _MAX_MATERIALS = 1000  # as parts of the document of their own; beyond it one part holds all
 _LEFT_OUT = {
@@ -20,7 +19,6 @@ _LEFT_OUT = {
     b"curv": "free-form curves",
     b"curv2": "free-form curves",
     b"surf": "free-form surfaces",
-    b"mtllib": "material files",
 }
 
 
@@ -47,6 +45,7 @@ class _Reader:
         self._sizes: list[int] = []
         self._materials: dict[bytes, int] = {b"": 0}
         self._material, self._material_of = 0, list[int]()
+        self._libraries: list[str] = []
         self._left_out: Counter[str] = Counter()
 
     def read(self, lines: list[bytes]) -> Polygons:
@@ -64,8 +63,9 @@ class _Reader:
                 if triangles > self._limits.max_faces:
                     self._limits.check_source(0, triangles)
             elif kind == b"usemtl":
-                name = line.split(None, 1)[1] if len(words) > 1 else b""
-                self._material = self._materials.setdefault(name, len(self._materials))
+                self._material = self._materials.setdefault(b" ".join(words[1:]), len(self._materials))
+            elif kind == b"mtllib":
+                self._libraries.append(b" ".join(words[1:]).decode("utf-8", "replace"))
             elif kind in _LEFT_OUT:
                 self._left_out[_LEFT_OUT[kind]] += 1
         return self._polygons()
@@ -108,33 +108,33 @@ class _Reader:
                 warnings.append(f"{missing} of {len(which)} corners have no texture coordinates and got 0 0")
             values = _table(rows, width)
             of_corner[name] = (texture_coordinates(values) if width == 2 else values.astype("<f4"), which)
-        if len(self._materials) > 1:
-            warnings.append(
-                f"the materials of the OBJ file ({len(self._materials) - 1} by usemtl) and their textures "
-                "were left out; the triangles of each are a part of their own"
-                if len(self._materials) <= _MAX_MATERIALS
-                else f"expected at most {_MAX_MATERIALS} materials, got {len(self._materials) - 1}: left out"
-            )
         corners = np.array(self._corners[0], np.int64)
         if corners.max() >= len(self._vertices):
             raise MeshInvalid(
                 f"damaged OBJ file: expected face indices from 1 to {len(self._vertices)}, "
                 f"got {corners.max() + 1}"
             )
-        return Polygons(
-            _table(self._vertices, 3),
-            corners,
-            np.array(self._sizes, np.int64),
-            of_vertex,
-            of_corner,
-            self._groups(),
-            tuple(warnings),
+        polygons = Polygons(
+            _table(self._vertices, 3), corners, np.array(self._sizes, np.int64), of_vertex, of_corner
         )
+        self._group(polygons, warnings)
+        polygons.warnings = tuple(warnings)
+        return polygons
 
-    def _groups(self) -> Ints | None:
-        group = np.array(self._material_of, np.int64)
-        several = group.min() != group.max() and len(self._materials) <= _MAX_MATERIALS
-        return group if several else None
+    def _group(self, polygons: Polygons, warnings: list[str]) -> None:
+        """Make a part of the triangles of each material."""
+        group, names = np.array(self._material_of, np.int64), list(self._materials)
+        if len(names) > _MAX_MATERIALS:
+            warnings.append(f"expected at most {_MAX_MATERIALS} materials, got {len(names)}: left out")
+            return
+        polygons.libraries = tuple(self._libraries)
+        if group.min() != group.max():
+            polygons.group, polygons.materials = (
+                group,
+                tuple(name.decode("utf-8", "replace") for name in names),
+            )
+        else:
+            polygons.materials = (names[group[0]].decode("utf-8", "replace"),)
 
 
 def _table(rows: list[list[bytes]], width: int) -> np.ndarray[Any, np.dtype[np.float64]]:

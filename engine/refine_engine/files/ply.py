@@ -54,7 +54,18 @@ def read_ply(data: bytes, limits: MeshLimits) -> Polygons:
             at = _read_text(element, words, at)
     if "vertex" not in named:
         raise MeshInvalid("damaged PLY file: expected an element vertex, got none")
-    return _polygons(named)
+    polygons = _polygons(named)
+    polygons.texture = _texture(data[: data.find(b"end_header")])
+    return polygons
+
+
+def _texture(header: bytes) -> str | None:
+    """The image that MeshLab and others name in a comment."""
+    for line in header.decode("utf-8", "replace").splitlines():
+        match line.split(None, 2):
+            case ["comment", "TextureFile" | "texturefile", name]:
+                return name.strip()
+    return None
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:

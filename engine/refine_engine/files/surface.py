@@ -30,15 +30,18 @@ class Polygons:
     sizes: Ints  # (P,) corners of each polygon
     of_vertex: Part
     of_corner: dict[str, tuple[NDArray[Any], Ints]]
-    group: Ints | None = None  # (P,) which part of the document a polygon belongs to; None: all one
+    group: Ints | None = None  # (P,) which part of the document a polygon belongs to; None: all to part 0
     warnings: tuple[str, ...] = ()
+    materials: tuple[str, ...] = ()  # by part, names in `libraries`; "" for none
+    libraries: tuple[str, ...] = ()  # material files
+    texture: str | None = None  # an image for the whole mesh
 
-    def parts(self, limits: MeshLimits) -> list[Part]:
+    def parts(self, limits: MeshLimits) -> dict[int, Part]:
         """One dict of vertex attributes and `faces` (F, 3) per group. Raises MeshInvalid."""
         self._check(limits)
         triangles, owner = triangulate(self.positions[self.corners], self.sizes)
         groups = np.zeros(len(self.sizes), np.int64) if self.group is None else self.group
-        return [self._part(triangles[groups[owner] == g]) for g in np.unique(groups[owner])]
+        return {int(g): self._part(triangles[groups[owner] == g]) for g in np.unique(groups[owner])}
 
     def _check(self, limits: MeshLimits) -> None:
         count = len(self.positions)

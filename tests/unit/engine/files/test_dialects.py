@@ -146,13 +146,6 @@ def test_texture_coordinates_of_some_faces_are_kept_with_a_warning(tools: Any) -
     assert "3 of 6 corners have no texture coordinates" in file.warnings[0]
 
 
-def test_materials_that_are_not_kept_are_told() -> None:
-    text = "mtllib a.mtl\nusemtl red\n" + VERTEX_LINES + FACE_LINES
-    told = " ".join(read_mesh(text.encode(), "a.obj").warnings)
-    assert "material files" in told
-    assert "usemtl" in told
-
-
 def test_what_is_written_looks_matte(tools: Any) -> None:
     material = written(read_mesh((VERTEX_LINES + FACE_LINES).encode(), "a.obj"), tools)["materials"][0]
     assert material["pbrMetallicRoughness"] == {"metallicFactor": 0.0, "roughnessFactor": 1.0}
