@@ -36,7 +36,6 @@ _MAX_EMBEDDED = 512 << 20  # bytes of the files that a glTF refers to, each as o
 _MAX_DEPTH = 100  # of the JSON: far below where Python's recursion ends, on reading, copying or writing
 # What hides or multiplies geometry. Any other extension is left as it is.
 _REFUSED = {
-    "KHR_draco_mesh_compression": "Draco compression",
     "EXT_meshopt_compression": "meshopt compression",
     "KHR_meshopt_compression": "meshopt compression",
     "EXT_mesh_gpu_instancing": "GPU instancing",
@@ -118,20 +117,17 @@ class Document:
     def _span(self, part: Json, size: int, count: int) -> tuple[int, int]:
         """First byte and stride of `count` elements of `size` bytes, proven to lie inside the buffer."""
         view = self.item("bufferViews", part.get("bufferView"))
-        start, length = natural(view, "byteOffset", 0), natural(view, "byteLength")
-        if start + length > len(self.binary):
-            raise MeshInvalid(
-                f"malformed glTF: a bufferView ends at {start + length}, its buffer has {len(self.binary)}"
-            )
+        start, stop = self._extent(view)
         offset, stride = natural(part, "byteOffset", 0), natural(view, "byteStride", size)
         if stride < size:
             raise MeshInvalid(f"malformed glTF: byteStride {stride} for elements of {size} bytes")
         if count == 0:
             return 0, size
         end = offset + stride * (count - 1) + size
-        if end > length:
+        if end > stop - start:
             raise MeshInvalid(
-                f"malformed glTF: an accessor of {count} elements needs {end} bytes, its view has {length}"
+                f"malformed glTF: an accessor of {count} elements needs {end} bytes, "
+                f"its view has {stop - start}"
             )
         return start + offset, stride
 
@@ -148,6 +144,33 @@ class Document:
         if bounds:
             set_bounds(accessor, values)
         return len(self.json["accessors"]) - 1
+
+    def fill(self, accessor: Json, values: NDArray[Any], *, bounds: bool = False) -> None:
+        """Store elements (count, components) for an accessor that has none, in its component type."""
+        dtype, components, count = _layout(accessor)
+        if values.shape != (count, components):
+            raise MeshInvalid(
+                f"malformed glTF: expected {count} elements of {components} components, got {values.shape}"
+            )
+        stored = np.ascontiguousarray(values.astype(dtype))
+        accessor["bufferView"], accessor["byteOffset"] = self.append_bytes(stored.tobytes()), 0
+        if bounds and count:
+            set_bounds(accessor, stored)
+
+    def view_bytes(self, index: int) -> bytes:
+        """The content of a bufferView."""
+        view = self.item("bufferViews", index)
+        start, end = self._extent(view)
+        return bytes(self.binary[start:end])
+
+    def _extent(self, view: Json) -> tuple[int, int]:
+        """First byte of a bufferView and the byte behind it, proven to lie inside the buffer."""
+        start, length = natural(view, "byteOffset", 0), natural(view, "byteLength")
+        if start + length > len(self.binary):
+            raise MeshInvalid(
+                f"malformed glTF: a bufferView ends at {start + length}, its buffer has {len(self.binary)}"
+            )
+        return start, start + length
 
     def append_bytes(self, data: bytes, **view: Any) -> int:
         """Add a bufferView; returns its index."""

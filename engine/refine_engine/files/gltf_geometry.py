@@ -214,8 +214,6 @@ def _check_size(document: Document, nodes: list[int], limits: MeshLimits) -> Non
     for number in nodes:
         seen: set[int] = set()
         for primitive in triangle_primitives(document.item("meshes", document.item("nodes", number)["mesh"])):
-            if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
-                raise FormatUnsupported("Draco compression is not supported; export the mesh without it")
             accessor = primitive["attributes"]["POSITION"]
             count = natural(document.item("accessors", accessor), "count")
             vertices += 0 if accessor in seen else count

@@ -22,6 +22,7 @@ from ..values import Mesh
 from . import gltf
 from .beside import Beside, open_archive
 from .colour_scale import confidence_colours, linear_light
+from .draco import decompress
 from .gltf_edit import CONFIDENCE, keep_triangles, move_vertices, overwritable_accessors
 from .gltf_geometry import SceneGeometry, read_scene, triangle_primitives
 from .limits import MeshLimits, one_line, refused_as
@@ -166,6 +167,7 @@ def read_mesh(
     with _malformed(kind):
         if kind in (MeshFormat.GLB, MeshFormat.GLTF):
             document = gltf.parse(data, beside)
+            decompress(document, limits)
         else:
             document = read_polygons(data, kind, limits, beside)
         scene = read_scene(document, limits)

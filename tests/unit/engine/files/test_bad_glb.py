@@ -25,10 +25,6 @@ def changed(tools: Any, change: Callable[[Any], object]) -> bytes:
     return data
 
 
-def draco(glb: Any) -> None:
-    glb.json["extensionsRequired"] = ["KHR_draco_mesh_compression"]
-
-
 def meshopt(glb: Any) -> None:
     glb.json["bufferViews"][0]["extensions"] = {"EXT_meshopt_compression": {}}
 
@@ -70,7 +66,6 @@ def too_many_instances(glb: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "error", "says"),
     [
-        (draco, FormatUnsupported, "Draco"),
         (meshopt, FormatUnsupported, "meshopt"),
         (
             lambda g: g.json.update(images=[{"uri": "http://a.example/b.png"}]),
