@@ -12,16 +12,22 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import io
 import random
 import sys
 import time
 import warnings
+import zipfile
 from collections import Counter
 from pathlib import Path
 
+import DracoPy
+import numpy as np
 import torch
 
 from refine_engine.errors import InputError
+from refine_engine.files.draco import DRACO
+from refine_engine.files.gltf import Document
 from refine_engine.files.mesh_file import MeshLimits, read_mesh
 
 LIMITS = MeshLimits(max_vertices=20_000, max_faces=50_000)
@@ -69,7 +75,52 @@ def seeds() -> dict[str, list[bytes]]:
         "off": [off.encode()],
     }
     file = read_mesh(found["obj"][0], "a.obj")
-    return found | {"glb": [file.with_vertices(file.mesh.vertices, torch.ones(8))]}
+    found["glb"] = [file.with_vertices(file.mesh.vertices, torch.ones(8)), _draco()]
+    found["zip"] = [_archive({"a.obj": obj, "a": "newmtl b\nKd 1 0 0\nmap_Kd -s 2 2 1 c.png\n"})]
+    found["binvox"] = [b"#binvox 1\ndim 4 4 4\ntranslate 0 0 0\nscale 1\ndata\n\0\x15\1\2\0\2\1\2\0\x25"]
+    grid, points = io.BytesIO(), np.random.default_rng(0).normal(size=(60, 3))
+    np.savez(grid, grid=np.eye(4)[:, None] * np.ones(4), translate=np.zeros(3), scale=1.0)
+    found["npz"] = [grid.getvalue()]
+    places = "".join(f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in points)
+    cloud = f"ply\nformat ascii 1.0\nelement vertex 60\n{xyz}end_header\n{places}"
+    found["ply"].append(cloud.encode())
+    return found
+
+
+def _archive(files: dict[str, str]) -> bytes:
+    target = io.BytesIO()
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
+    return target.getvalue()
+
+
+def _draco() -> bytes:
+    """A GLB of the cube as Draco data."""
+    triangles = np.array(
+        [(a, b, c) for a, b, c, d in _QUADS] + [(a, c, d) for a, b, c, d in _QUADS], np.uint32
+    )
+    document = Document({"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}]}, bytearray())
+    view = document.append_bytes(DracoPy.encode(np.array(_CORNERS, np.float32), triangles))
+    document.json |= {
+        "nodes": [{"mesh": 0}],
+        "accessors": [
+            {"componentType": 5126, "count": 8, "type": "VEC3"},
+            {"componentType": 5125, "count": 36, "type": "SCALAR"},
+        ],
+        "meshes": [
+            {
+                "primitives": [
+                    {
+                        "attributes": {"POSITION": 0},
+                        "indices": 1,
+                        "extensions": {DRACO: {"bufferView": view, "attributes": {"POSITION": 0}}},
+                    }
+                ]
+            }
+        ],
+    }
+    return document.to_glb()
 
 
 def changed(data: bytes, other: bytes, chance: random.Random) -> bytes:

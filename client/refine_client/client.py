@@ -86,7 +86,8 @@ class RefineClient:
         """Send a refinement and return it as soon as it is queued.
 
         Args:
-            mesh: Path or content of a GLB, glTF, OBJ, PLY, STL or OFF file, or of a ZIP of one.
+            mesh: Path or content of a GLB, glTF, OBJ, PLY (also of points), STL, OFF, binvox or NPZ file,
+                or of a ZIP of one.
             silhouette: Path or content of a PNG, JPEG, WebP, TIFF or BMP: alpha, or white on black.
             camera: The camera of the silhouette: a LookAtCamera, a MatrixCamera or the same as a mapping.
             options: RefinementOptions or a mapping; what is left out has its default.

@@ -47,10 +47,12 @@ class MeshFormat(StrEnum):
     STL = "stl"
     OFF = "off"
     ZIP = "zip"  # one of the others with the files that it refers to
+    BINVOX = "binvox"
+    NPZ = "npz"  # a voxel grid
 
 
 MESH_SUFFIXES = tuple(f".{name}" for name in MeshFormat)
-GLB_MAGIC, ZIP_MAGIC = b"glTF", b"PK\3\4"
+GLB_MAGIC, ZIP_MAGIC, BINVOX_MAGIC = b"glTF", b"PK\3\4", b"#binvox"
 _OFF_MAGIC = re.compile(rb"\s*(ST|C|N|4|n)*OFF[\s\d#]")
 _OBJ_TEXT = re.compile(rb"^[ \t]*v[ \t]+[-+.\d]+[ \t]+[-+.\d]+[ \t]+[-+.\d]+", re.MULTILINE)
 _WITHOUT_MAGIC = (MeshFormat.OBJ, MeshFormat.STL, MeshFormat.OFF)  # comments may precede OFF's
@@ -72,8 +74,11 @@ def recognise_mesh(head: bytes, name: str | None = None, given: MeshFormat | Non
     start = head[:HEAD_BYTES].removeprefix(b"\xef\xbb\xbf")
     if start.startswith(GLB_MAGIC):
         return MeshFormat.GLB
+    if start.startswith(BINVOX_MAGIC):
+        return MeshFormat.BINVOX
     if start.startswith(ZIP_MAGIC):
-        return MeshFormat.ZIP
+        name_end = 30 + int.from_bytes(start[26:28], "little")  # of the first file in the archive
+        return MeshFormat.NPZ if start[30:name_end].endswith(b".npy") else MeshFormat.ZIP
     if start.lstrip().startswith(b"{"):
         return MeshFormat.GLTF
     if re.match(rb"ply\s", start):

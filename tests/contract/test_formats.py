@@ -41,6 +41,9 @@ def png_header(width: int, height: int) -> bytes:
         (b"v 0 0 0", "a.obj", None, MeshFormat.OBJ),
         (b"v 0 0 0", "a.stl", MeshFormat.OBJ, MeshFormat.OBJ),  # what was said decides before the name
         (b"solid", "folder.obj/a.stl", None, MeshFormat.STL),
+        (b"#binvox 1\n", "a.obj", None, MeshFormat.BINVOX),
+        (b"PK\3\4" + bytes(22) + b"\5\0\0\0a.npybytes", "a.zip", None, MeshFormat.NPZ),
+        (b"PK\3\4" + bytes(22) + b"\5\0\0\0a.obj.npy", "a.npz", None, MeshFormat.ZIP),
     ],
 )
 def test_mesh_formats(head: bytes, name: str | None, given: MeshFormat | None, found: MeshFormat) -> None:

@@ -85,7 +85,12 @@ def submit_parser() -> Parser:
 
 def add_files(parser: Parser) -> None:
     """The arguments that name what is sent."""
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL, OFF, or a ZIP")
+    parser.add_argument(
+        "mesh",
+        type=Path,
+        metavar="MESH",
+        help="GLB, glTF, OBJ, PLY, STL, OFF, voxels (binvox, NPZ), or a ZIP",
+    )
     add_views(parser)
     parser.add_argument(
         "--mesh-format", choices=list(MeshFormat), metavar="FORMAT", help="(the suffix of MESH)"

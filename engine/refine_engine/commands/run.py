@@ -84,7 +84,12 @@ def run_parser() -> Parser:
 
 def add_files(parser: Parser) -> None:
     """The arguments that name the inputs of a run."""
-    parser.add_argument("mesh", type=Path, metavar="MESH", help="GLB, glTF, OBJ, PLY, STL, OFF, or a ZIP")
+    parser.add_argument(
+        "mesh",
+        type=Path,
+        metavar="MESH",
+        help="GLB, glTF, OBJ, PLY, STL, OFF, voxels (binvox, NPZ), or a ZIP",
+    )
     add_views(parser)
 
 

@@ -43,12 +43,8 @@ def stays_inside(uri: str) -> bool:
 
 def open_archive(data: bytes) -> tuple[str, bytes, Beside]:
     """Name and content of the one mesh in a zip archive, and the files beside it. Raises MeshInvalid."""
-    try:
-        archive = zipfile.ZipFile(io.BytesIO(data))
-    except _BROKEN as error:
-        raise MeshInvalid(f"damaged ZIP file: {one_line(error)}") from error
+    archive = checked_archive(data)
     members = {info.filename: info for info in archive.infolist() if not info.is_dir()}
-    _check(archive.infolist(), len(data))
     meshes = [name for name in members if _is_mesh(name)]
     if len(meshes) != 1:
         raise MeshInvalid(
@@ -59,42 +55,61 @@ def open_archive(data: bytes) -> tuple[str, bytes, Beside]:
 
     def read(uri: str) -> bytes | None:
         info = members.get(str(folder / unquote(uri)))
-        return None if info is None else _content(archive, info)
+        return None if info is None else member_content(archive, info)
 
-    return PurePosixPath(meshes[0]).name, _content(archive, members[meshes[0]]), read
+    return PurePosixPath(meshes[0]).name, member_content(archive, members[meshes[0]]), read
+
+
+def checked_archive(data: bytes, ratio: int = _MAX_RATIO) -> zipfile.ZipFile:
+    """An archive within the limits, unpacked at most `ratio` times as large; nothing is unpacked yet.
+
+    Raises MeshInvalid.
+    """
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+    except _BROKEN as error:
+        raise MeshInvalid(f"damaged ZIP file: {one_line(error)}") from error
+    _check(archive.infolist(), len(data), ratio)
+    return archive
 
 
 def _is_mesh(name: str) -> bool:
     path = PurePosixPath(name)
     suffix = path.suffix.lower()
-    hidden = path.name.startswith(".") or path.parts[0] == "__MACOSX"
+    hidden = path.name.startswith(".") or "__MACOSX" in path.parts[:1]
     return suffix in MESH_SUFFIXES and suffix != ".zip" and not hidden
 
 
-def _check(members: list[zipfile.ZipInfo], size: int) -> None:
-    """By the directory of the archive, before a member is unpacked; `_content` holds the members to it."""
+def _check(members: list[zipfile.ZipInfo], size: int, ratio: int) -> None:
+    """By the directory of the archive, before a member is unpacked; `member_content` holds them to it."""
     if len(members) > _MAX_MEMBERS:
         raise MeshInvalid(f"expected at most {_MAX_MEMBERS} files in the archive, got {len(members)}")
     total = sum(info.file_size for info in members)
-    if total > min(_MAX_BYTES, _MAX_RATIO * size):
+    if total > min(_MAX_BYTES, ratio * size):
         raise MeshInvalid(
-            f"expected an archive of at most {_MAX_BYTES} bytes unpacked, and {_MAX_RATIO} times its own "
+            f"expected an archive of at most {_MAX_BYTES} bytes unpacked, and {ratio} times its own "
             f"{size}, got {total}"
         )
     for info in members:
         path = PurePosixPath(info.filename)
-        if path.is_absolute() or ".." in path.parts or "\\" in info.filename:
+        if not info.filename or path.is_absolute() or ".." in path.parts or "\\" in info.filename:
             raise MeshInvalid(f"expected paths inside the archive, got {info.filename!r:.60}")
         if info.flag_bits & 1:
             raise MeshInvalid(f"expected an archive without a password, got {info.filename!r:.60}")
 
 
-def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    try:
-        with archive.open(info) as member:
-            content = member.read(info.file_size + 1)
-    except _BROKEN as error:
-        raise MeshInvalid(f"damaged ZIP file: {info.filename!r:.60}: {one_line(error)}") from error
+def member_content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    """A file of the archive, of the size that it announces. Raises MeshInvalid."""
+    content = member_head(archive, info, info.file_size + 1)
     if len(content) != info.file_size:
         raise MeshInvalid(f"damaged ZIP file: {info.filename!r:.60} has not the size that it announces")
     return content
+
+
+def member_head(archive: zipfile.ZipFile, info: zipfile.ZipInfo, size: int) -> bytes:
+    """At most the first `size` bytes of a file of the archive. Raises MeshInvalid."""
+    try:
+        with archive.open(info) as member:
+            return member.read(size)
+    except _BROKEN as error:
+        raise MeshInvalid(f"damaged ZIP file: {info.filename!r:.60}: {one_line(error)}") from error

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import MeshInvalid
 from .limits import MeshLimits
+from .points import reconstruct
 from .surface import Part, Polygons, colours, texture_coordinates
 from .weld import Ints
 
@@ -54,7 +55,7 @@ def read_ply(data: bytes, limits: MeshLimits) -> Polygons:
             at = _read_text(element, words, at)
     if "vertex" not in named:
         raise MeshInvalid("damaged PLY file: expected an element vertex, got none")
-    polygons = _polygons(named)
+    polygons = _polygons(named, limits)
     polygons.texture = _texture(data[: data.find(b"end_header")])
     return polygons
 
@@ -200,19 +201,20 @@ def _truncated(element: _Element) -> str:
     return f"truncated PLY file: expected {element.count} of {element.name}, the data ends before"
 
 
-def _polygons(named: dict[str, _Element]) -> Polygons:
+def _polygons(named: dict[str, _Element], limits: MeshLimits) -> Polygons:
     vertex, face = named["vertex"], named.get("face", _Element("face", 0))
     positions = np.stack([np.asarray(vertex.columns[axis], np.float64) for axis in "xyz"], 1)
     lists = [face.columns[name] for name in _LISTS if isinstance(face.columns.get(name), tuple)]
     if strips := named.get("tristrips"):
         corners = _strips(*strips.columns["vertex_indices"])
         return Polygons(positions, corners, np.full(len(corners) // 3, 3), _of_vertex(vertex), {})
-    if not lists or not face.count:
-        kind = "Gaussian splats" if "f_dc_0" in vertex.columns else "a point cloud"
+    if (not lists or not face.count) and "f_dc_0" in vertex.columns:
         raise MeshInvalid(
-            f"expected triangles or polygons in the PLY file, got none: {kind} of {vertex.count} points? "
-            "make a mesh of it first"
+            f"expected triangles or points of a surface in the PLY file, got {vertex.count} Gaussian splats; "
+            "make a mesh of them first"
         )
+    if not lists or not face.count:
+        return reconstruct(positions, _of_vertex(vertex), limits)
     corners, sizes = (np.asarray(part).astype(np.int64) for part in lists[0])
     of_vertex, warnings = _of_vertex(vertex), list[str]()
     of_corner: dict[str, tuple[NDArray[Any], Ints]] = {}

@@ -1,4 +1,4 @@
-"""OBJ, PLY, STL and OFF files as glTF documents, so that there is one way on from there.
+"""OBJ, PLY, STL, OFF and voxel files as glTF documents, so that there is one way on from there.
 
 Kept: vertices in the file's order, polygons as triangles, colours, vertex normals, one set of texture
 coordinates, materials and textures as far as glTF has them. What is left out is told in a warning.
@@ -19,6 +19,7 @@ from .off import read_off
 from .ply import read_ply
 from .stl import read_stl
 from .surface import Part, Polygons
+from .voxels import read_binvox, read_npz
 from .weld import weld
 
 _READERS: dict[str, Callable[[bytes, MeshLimits], Polygons]] = {
@@ -26,12 +27,14 @@ _READERS: dict[str, Callable[[bytes, MeshLimits], Polygons]] = {
     "off": read_off,
     "ply": read_ply,
     "stl": read_stl,
+    "binvox": read_binvox,
+    "npz": read_npz,
 }
 _UTF8_MARK = b"\xef\xbb\xbf"
 
 
 def read_polygons(data: bytes, kind: str, limits: MeshLimits, beside: Beside | None = None) -> Document:
-    """Read a file of `kind` obj, ply, stl or off; its materials come from `beside`. Raises MeshInvalid."""
+    """Read a file of `kind` (a key of _READERS); its materials come from `beside`. Raises MeshInvalid."""
     with np.errstate(all="ignore"):  # a colour that is NaN must not cost the mesh
         polygons = _READERS[kind](data.removeprefix(_UTF8_MARK), limits)
         parts = polygons.parts(limits)

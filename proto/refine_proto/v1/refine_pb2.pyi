@@ -215,6 +215,8 @@ class RefinementSpec(_message.Message):
         STL: _ClassVar[RefinementSpec.MeshFormat]
         OFF: _ClassVar[RefinementSpec.MeshFormat]
         ZIP: _ClassVar[RefinementSpec.MeshFormat]
+        BINVOX: _ClassVar[RefinementSpec.MeshFormat]
+        NPZ: _ClassVar[RefinementSpec.MeshFormat]
     MESH_FORMAT_UNSPECIFIED: RefinementSpec.MeshFormat
     GLB: RefinementSpec.MeshFormat
     GLTF: RefinementSpec.MeshFormat
@@ -223,6 +225,8 @@ class RefinementSpec(_message.Message):
     STL: RefinementSpec.MeshFormat
     OFF: RefinementSpec.MeshFormat
     ZIP: RefinementSpec.MeshFormat
+    BINVOX: RefinementSpec.MeshFormat
+    NPZ: RefinementSpec.MeshFormat
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
     MESH_FORMAT_FIELD_NUMBER: _ClassVar[int]

@@ -88,6 +88,8 @@ def test_nothing_outside_the_folder_is_read(tmp_path: Path) -> None:
         (packed({"a.obj": TRIANGLE, "b.obj": TRIANGLE}), r"got 2: a\.obj, b\.obj"),
         (packed({"../a.obj": TRIANGLE}), "paths inside the archive"),
         (packed({"/a.obj": TRIANGLE}), "paths inside the archive"),
+        (packed({"a.obj": TRIANGLE, "Q": b""}).replace(b"Q", b"\0"), "paths inside the archive, got ''"),
+        (packed({".": b""}), "one mesh file .* got 0"),
         (packed({"a.obj": TRIANGLE + b"\n" * 10_000_000}), "200 times its own"),
         (packed({f"{i}.txt": b"" for i in range(1001)}), "at most 1000 files"),
         (packed({"a.obj": packed({"a.obj": TRIANGLE})}), "another archive"),
