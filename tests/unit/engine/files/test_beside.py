@@ -16,7 +16,6 @@ from refine_engine.errors import FormatUnsupported, MeshInvalid
 from refine_engine.files.beside import in_folder_of
 from refine_engine.files.mesh_file import read_mesh
 
-SHARED = Path(__file__).parents[5] / "shared" / "bugcases"
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 
@@ -116,10 +115,3 @@ def test_one_file_is_not_embedded_without_end(tools: Any) -> None:
     glb.json["buffers"] = [{"byteLength": 1, "uri": "a.bin"}] * 100
     with pytest.raises(MeshInvalid, match="bytes in the files"):
         read_mesh(json.dumps(glb.json).encode(), "a.gltf", beside=lambda uri: bytes(64 << 20))
-
-
-def test_the_reported_gltf_with_bin_is_read() -> None:
-    path = SHARED / "10-gltf-with-bin" / "cube" / "01_cube.gltf"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
-    assert len(read_mesh(path.read_bytes(), path.name, beside=in_folder_of(path)).mesh.faces) == 12

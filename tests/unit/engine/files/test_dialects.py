@@ -6,7 +6,6 @@ import struct
 import sys
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,6 @@ QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (
 VERTEX_LINES = "".join(f"v {x} {y} {z}\n" for x, y, z in CORNERS)
 FACE_LINES = "".join("f " + " ".join(str(i + 1) for i in quad) + "\n" for quad in QUADS)
 L_SHAPE = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 5), (0, 5)]  # area 7; fans from most corners cover more
-SHARED = Path(__file__).parents[5] / "shared" / "bugcases"
 
 
 def area(file: MeshFile) -> float:
@@ -224,44 +222,3 @@ def test_what_backtracked_for_ever_is_read_at_once() -> None:
     assert len(read_mesh(OFF % (b"# \n" * 100_000), "a.off").mesh.faces) == 1
     assert len(read_mesh(b"\n" * 1_000_000 + TRIANGLE, "a.obj").mesh.faces) == 1
     assert len(read_mesh(b" \n" * 1_000_000 + SOLID, "a.stl").mesh.faces) == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("04-concave-polygons/poly_obj_concave.obj", 7.0),
-        ("04-concave-polygons/poly_off_concave.off", 7.0),
-        ("04-concave-polygons/poly_ply_concave.ply", 7.0),
-        ("05-obj-dialects/bom.obj", 6.0),
-        ("05-obj-dialects/leading_spaces.obj", 6.0),
-        ("05-obj-dialects/tabs.obj", 6.0),
-        ("05-obj-dialects/tab_after_f_only.obj", 6.0),
-        ("05-obj-dialects/tab_after_v_only.obj", 6.0),
-        ("05-obj-dialects/trailing_comment_on_f.obj", 6.0),
-    ],
-)
-def test_reported_files_have_their_true_area(name: str, expected: float) -> None:
-    if not (SHARED / name).is_file():
-        pytest.skip(f"no {SHARED / name}")
-    assert area(read_mesh((SHARED / name).read_bytes(), name)) == pytest.approx(expected)
-
-
-def test_reported_colours_are_kept_or_told(tools: Any) -> None:
-    files = sorted(SHARED.glob("06-*/*"))
-    if not files:
-        pytest.skip(f"no files in {SHARED}")
-    for path in files:
-        file = read_mesh(path.read_bytes(), path.name)
-        kept = attributes(file, tools)
-        assert file.warnings or kept & {"COLOR_0", "TEXCOORD_0"}, path.name
-        if "colour" in path.name or "coff" in path.name or "diffuse" in path.name:
-            assert "COLOR_0" in kept, path.name
-
-
-def test_the_reported_stray_fragments_do_not_set_the_box() -> None:
-    files = [SHARED / "12-stray-fragment" / f"fragment_at_{distance}.ply" for distance in (8, 30)]
-    if not files[0].is_file():
-        pytest.skip(f"no {files[0]}")
-    for path in files:
-        low, high = read_mesh(path.read_bytes(), path.name).mesh.box()
-        assert float((high - low).max()) == pytest.approx(1.0)
