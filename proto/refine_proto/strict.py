@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import numbers
 import re
 import reprlib
@@ -16,6 +17,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 LARGEST = 1e30  # magnitude of a number; float32 ends at 3e38
+MAX_COMPLAINTS = 20  # nobody mends more at a time, and an answer shall not be larger than its request
+_MAX_NAME = 64  # characters of a field's name that are compared and told
+_MAX_SENTENCE = 500
 
 
 class Input(BaseModel):
@@ -26,7 +30,10 @@ class Input(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _name_the_nearest_field(cls, data: Any) -> Any:
-        unknown = [name for name in data if name not in cls.model_fields] if isinstance(data, dict) else []
+        given = data if isinstance(data, dict) else {}
+        unknown = list(
+            itertools.islice((name for name in given if name not in cls.model_fields), MAX_COMPLAINTS)
+        )
         if not unknown:
             return data
         raise ValidationError.from_exception_data(
@@ -39,11 +46,12 @@ class Input(BaseModel):
 
 
 def _unknown_field(name: object, fields: Iterable[str]) -> PydanticCustomError:
-    near = difflib.get_close_matches(str(name), list(fields), n=1, cutoff=0.0)[0]
+    told = str(name)[:_MAX_NAME]
+    near = difflib.get_close_matches(told, list(fields), n=1, cutoff=0.0)[0]
     return PydanticCustomError(
         "unknown_field",
         "unknown field '{name}'; did you mean '{near}'? (valid: {valid})",
-        {"name": str(name)[:100], "near": near, "valid": ", ".join(fields)},
+        {"name": told, "near": near, "valid": ", ".join(fields)},
     )
 
 
@@ -73,15 +81,24 @@ _QUOTED = re.compile(r"'([^']*)'")
 def complaints(
     line_errors: Sequence[Mapping[str, Any]], under: Sequence[str | int] = ()
 ) -> Iterator[tuple[str, str]]:
-    """A JSON pointer and a sentence for each of pydantic's `error.errors()`.
+    """A JSON pointer and a sentence for the first MAX_COMPLAINTS of pydantic's `error.errors()`.
 
-    `under` is where the validated value sits in the request. A location that begins with `body`, as FastAPI's
-    do, loses it.
+    The last of them says how many there are beyond. `under` is where the validated value sits in the request.
+    A location that begins with `body`, as FastAPI's do, loses it.
     """
-    for line in line_errors:
+    beyond = len(line_errors) - MAX_COMPLAINTS
+    for number, line in enumerate(line_errors[:MAX_COMPLAINTS], 1):
         path = [*under, *line["loc"]]
         path = [str(step) for step in (path[1:] if path[:1] == ["body"] else path) if step not in UNION_TAGS]
-        yield "".join("/" + step.replace("~", "~0").replace("/", "~1") for step in path), _sentence(line)
+        sentence = _sentence(line)[:_MAX_SENTENCE]
+        if number == MAX_COMPLAINTS and beyond > 0:
+            sentence += f" (and {beyond} further errors)"
+        yield "".join("/" + _token(step) for step in path), sentence
+
+
+def _token(step: str) -> str:
+    """A step of a JSON pointer (RFC 6901)."""
+    return step[:_MAX_NAME].replace("~", "~0").replace("/", "~1")
 
 
 def in_one_line(wrong: Iterable[tuple[str, str]]) -> str:

@@ -63,6 +63,15 @@ def new_file() -> UploadFile:
     return UploadFile(cast(BinaryIO, tempfile.SpooledTemporaryFile(max_size=_MEMORY_BYTES)), size=0)
 
 
+def filled_file(data: bytes) -> UploadFile:
+    """A file of these bytes, rewound."""
+    file = new_file()
+    file.file.write(data)
+    file.file.seek(0)
+    file.size = len(data)
+    return file
+
+
 async def submit(
     edge: Edge, call: Call, upload: Upload, idempotency_key: str | None, task: Task = Task.REFINE
 ) -> Submitted:

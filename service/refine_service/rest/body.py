@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import io
-from typing import Any
+from typing import Any, BinaryIO
 
 from fastapi import Request
 from pydantic import ValidationError
@@ -16,7 +15,7 @@ from refine_proto.errors import FormatUnsupported, PayloadTooLarge, from_validat
 from refine_proto.formats import IGNORE, IMAGE_PARTS, MESH, SILHOUETTE, of_view
 from refine_proto.models import RefinementRequest, RefinementSpec, View
 
-from ..edge.submit import Upload, took_too_long
+from ..edge.submit import Upload, filled_file, new_file, took_too_long
 from ..settings import ServiceSettings
 
 _FILES = (MESH, *IMAGE_PARTS)
@@ -24,6 +23,8 @@ _JSON_FIELDS = ("camera", "options", "views")
 _MAX_FIELDS = 32  # more than there are: an unknown one is named, not counted
 _FIELD_BYTES = 64 * 1024
 _FRAMING_BYTES = 2**20  # of a multipart body around its files
+_MAX_VALUES = 10_000  # of the JSON of one request; eight views with their cameras have a few hundred
+_parsing = asyncio.Semaphore(2)  # JSON bodies that are in memory at a time: each is there several times over
 
 
 async def read_body(request: Request, settings: ServiceSettings) -> Upload:
@@ -93,6 +94,7 @@ def _text(value: str | bytes) -> str:
 
 
 def _parse(name: str, text: str | bytes) -> Any:
+    _check_values(text.encode() if isinstance(text, str) else text)
     try:
         return from_json(text)
     except ValueError as error:
@@ -100,23 +102,45 @@ def _parse(name: str, text: str | bytes) -> Any:
 
 
 async def _read_json(request: Request, settings: ServiceSettings) -> Upload:
+    """Waits on disk until it is whole, and is parsed in a thread: neither may hold up other calls."""
+    body = new_file()
     try:
-        body = RefinementRequest.model_validate_json(await _limited(request, settings.max_json_bytes).body())
+        async for chunk in _limited(request, settings.max_json_bytes).stream():
+            await body.write(chunk)
+        async with _parsing:
+            return await asyncio.to_thread(_parse_json, body.file)
+    finally:
+        await body.close()
+
+
+def _parse_json(body: BinaryIO) -> Upload:
+    body.seek(0)
+    text = body.read()
+    _check_values(text)
+    try:
+        parsed = RefinementRequest.model_validate_json(text)
     except ValidationError as error:
         raise from_validation(error.errors()) from None
     spec = RefinementSpec(
-        camera=body.camera,
-        options=body.options,
-        mesh_format=body.mesh_format,
-        views=[View(camera=view.camera) for view in body.views],
+        camera=parsed.camera,
+        options=parsed.options,
+        mesh_format=parsed.mesh_format,
+        views=[View(camera=view.camera) for view in parsed.views],
     )
     images = {
         of_view(part, number): getattr(view, part)
-        for number, view in enumerate((body, *body.views), 1)
+        for number, view in enumerate((parsed, *parsed.views), 1)
         for part in (SILHOUETTE, IGNORE)
     }
-    files = {MESH: body.mesh, **{name: data for name, data in images.items() if data is not None}}
-    return Upload(spec, {name: UploadFile(io.BytesIO(data), size=len(data)) for name, data in files.items()})
+    files = {MESH: parsed.mesh, **{name: data for name, data in images.items() if data is not None}}
+    return Upload(spec, {name: filled_file(data) for name, data in files.items()})
+
+
+def _check_values(text: bytes) -> None:
+    """Raise PayloadTooLarge for JSON of more values than any request has; they are not parsed."""
+    values = sum(text.count(sign) for sign in (b",", b"[", b"{"))
+    if values > _MAX_VALUES:
+        raise PayloadTooLarge(f"expected JSON of at most {_MAX_VALUES} values, got more; see /docs")
 
 
 def _limited(request: Request, limit_bytes: int) -> Request:
