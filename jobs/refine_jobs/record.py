@@ -122,6 +122,11 @@ class Job(BaseModel):
         """Longest run of one attempt; submit has filled it in."""
         return float(self.spec["options"]["timeout_s"])
 
+    @property
+    def size_bytes(self) -> int:
+        """Of all files."""
+        return sum(blob.size_bytes for blob in (self.mesh, self.silhouette, *self.more_files.values()))
+
     def refinement(self, queue_position: int | None = None) -> Refinement:
         """What the contract shows; the edge adds URLs."""
         return Refinement(

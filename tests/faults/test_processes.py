@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 import pytest
+from PIL import Image
 from worker_process import wait_until
 
 from refine_jobs import keys
@@ -114,3 +116,16 @@ def test_a_cancelled_job_whose_engine_is_killed_is_cancelled(
         workplace.cancel(job_id)
         engine.kill()
         assert workplace.ended(job_id).state is State.CANCELLED
+
+
+def test_files_that_are_never_read_cost_attempts_and_then_the_job(
+    start_worker: StartWorker, workplace: Workplace
+) -> None:
+    """By the clock on the wall: the machine may have had no time for them."""
+    image = io.BytesIO()
+    Image.new("RGBA", (4096, 4096), "white").save(image, "PNG")  # few bytes that take a second
+    with start_worker(workplace, read_timeout_s="0.001"):
+        job = workplace.ended(workplace.submit(silhouette=image.getvalue(), iterations=4))
+    assert (job.state, job.attempt) == (State.FAILED, 2)
+    assert job.error
+    assert job.error.reason == "MESH_INVALID"

@@ -30,6 +30,7 @@ from refine_proto.models import RefinementSpec, State
 
 SAMPLE = Path(__file__).parents[2] / "examples" / "samples" / "chair"
 COARSE = (SAMPLE / "coarse.obj").read_bytes()
+SILHOUETTE = (SAMPLE / "silhouette.png").read_bytes()
 _PATIENCE_S = 120.0  # a machine that compiles kernels and runs other tests
 
 
@@ -62,8 +63,14 @@ class Workplace:
         self.store = WorkerStore(self.redis, self.settings)
         self.blobs = BlobStore(self.settings.blob_location)
 
-    def submit(self, mesh: bytes | None = None, task: Task = Task.REFINE, **options: Any) -> str:
-        """Queue the sample chair, or another OBJ; the id."""
+    def submit(
+        self,
+        mesh: bytes | None = None,
+        task: Task = Task.REFINE,
+        silhouette: bytes | None = None,
+        **options: Any,
+    ) -> str:
+        """Queue the sample chair, or with another OBJ or PNG; the id."""
         spec = RefinementSpec.model_validate(
             {
                 "camera": json.loads((SAMPLE / "camera.json").read_text()),
@@ -76,14 +83,15 @@ class Workplace:
             store = JobStore(connect_async(self.environment["REFINE_REDIS_URL"]), self.settings)
             try:
                 job_id = await store.begin_upload("ann")
-                silhouette = (SAMPLE / "silhouette.png").read_bytes()
                 submission = Submission(
                     id=job_id,
                     owner="ann",
                     spec=spec,
                     task=task,
                     mesh=self.blobs.put(keys.input_blob(job_id, keys.MESH), mesh or COARSE),
-                    silhouette=self.blobs.put(keys.input_blob(job_id, keys.SILHOUETTE), silhouette),
+                    silhouette=self.blobs.put(
+                        keys.input_blob(job_id, keys.SILHOUETTE), silhouette or SILHOUETTE
+                    ),
                     request_id=self.REQUEST_ID,
                     traceparent=f"00-{self.TRACE_ID}-b7ad6b7169203331-01",
                 )

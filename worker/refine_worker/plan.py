@@ -14,10 +14,11 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from .settings import WorkerSettings
+from .settings import ReadLimits, WorkerSettings
 
 SLOTS_PER_CUDA_DEVICE = 4
 NEVER_READY = 3  # exit code of a slot process whose engine process could not start, before its first job
+_MOST_READ_MEMORY_BYTES = 4 * 2**30  # no file that is let in by default needs half of it
 _CUDA_DRIVERS = ("/dev/nvidiactl", "/dev/dxg")  # Linux, and Linux below Windows
 _PROBE = "import torch; print(torch.cuda.device_count())"
 _PROBE_TIMEOUT_S = 120
@@ -35,6 +36,7 @@ class SlotPlan(BaseModel):
     name: str
     device: str  # cpu, or cuda:N
     threads: int
+    read_limits: ReadLimits
     cuda_visible_devices: str = ""  # of the engine process; it sees one device at most
 
     def engine_environment(self) -> dict[str, str]:
@@ -53,11 +55,11 @@ class SlotPlan(BaseModel):
 
 
 def plan_slots(
-    settings: WorkerSettings, cores: int, cuda_devices: Sequence[str], prefix: str
+    settings: WorkerSettings, cores: int, memory_bytes: int, cuda_devices: Sequence[str], prefix: str
 ) -> tuple[SlotPlan, ...]:
-    """The slots for `cores` and for the CUDA devices that were found (their CUDA_VISIBLE_DEVICES names).
+    """The slots for `cores`, `memory_bytes` and the CUDA devices that were found.
 
-    Slot names start with `prefix`. Raises PlanError.
+    These are given as their CUDA_VISIBLE_DEVICES names. Slot names start with `prefix`. Raises PlanError.
     """
     devices = _choose(settings.devices, cuda_devices)
     on_cpu = devices == ["cpu"]
@@ -76,11 +78,17 @@ def plan_slots(
             f"{slots} x {threads} ({per_device} slots on each of {', '.join(devices)}); lower "
             "REFINE_SLOTS_PER_DEVICE or REFINE_THREADS_PER_SLOT, or name fewer REFINE_DEVICES"
         )
+    read_limits = ReadLimits(
+        base_cpu_s=settings.read_cpu_s,
+        base_wall_s=settings.read_timeout_s,
+        memory_bytes=settings.read_memory_bytes or min(_MOST_READ_MEMORY_BYTES, memory_bytes // (2 * slots)),
+    )
     return tuple(
         SlotPlan(
             name=f"{prefix}-{number}",
             device=device,
             threads=threads,
+            read_limits=read_limits,
             cuda_visible_devices="" if on_cpu else cuda_devices[int(device.removeprefix("cuda:"))],
         )
         for number, device in enumerate(d for d in devices for _ in range(per_device))

@@ -26,6 +26,7 @@ from refine_jobs.worker_store import WorkerStore
 from refine_proto.commands.cores import usable_cores
 from refine_proto.commands.ending import FAILED
 
+from .host_memory import usable_memory_bytes
 from .metrics import WorkerMetrics
 from .plan import PlanError, SlotPlan, find_cuda_devices, plan_slots
 from .port import PROBES, Answer, Port
@@ -56,7 +57,9 @@ def build_supervisor() -> Supervisor:
     blobs.check_writable()
     cores = usable_cores()
     cuda_devices = [] if settings.devices == "cpu" else find_cuda_devices()
-    plans = plan_slots(settings, cores, cuda_devices, f"{socket.gethostname()}-{os.getpid()}")
+    plans = plan_slots(
+        settings, cores, usable_memory_bytes(), cuda_devices, f"{socket.gethostname()}-{os.getpid()}"
+    )
     address = urlsplit(url)
     redis_name = address.hostname or address.path  # not the URL: it may hold a password
     print(f"refine worker: pool {jobs.pool}, Redis {redis_name}, blobs {jobs.blob_location}")

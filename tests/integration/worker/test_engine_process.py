@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_worker.messages import Failed, Phase, PhaseStarted, Run
 from refine_worker.plan import SlotPlan
 from refine_worker.reports import Report
-from refine_worker.settings import WorkerSettings
+from refine_worker.settings import ReadLimits, WorkerSettings
 from refine_worker.slot.engine_process import EngineProcess, EngineStartFailed
 
-PLAN = SlotPlan(name="slot", device="cpu", threads=1)
+LIMITS = ReadLimits(base_cpu_s=60, base_wall_s=60, memory_bytes=2**32)
+PLAN = SlotPlan(name="slot", device="cpu", threads=1, read_limits=LIMITS)
 REPORTS: list[Report] = []  # to a supervisor; nobody reads them
+SAMPLE = Path(__file__).parents[3] / "examples" / "samples" / "chair"
 CAMERA = {"type": "look_at", "azimuth_degrees": 62, "elevation_degrees": 20, "distance": 1.6}
 
 
@@ -29,7 +33,8 @@ def test_a_mesh_that_needs_too_much_memory_fails(tmp_path: Path) -> None:
     faces = "".join(f"f {i} {i + 1} {i + 2}\n" for i in range(1, len(corners) - 2))
     blobs.put(keys.input_blob("job", keys.MESH), (vertices + faces).encode())
     blobs.put(keys.input_blob("job", keys.SILHOUETTE), b"")
-    engine = EngineProcess(PLAN, WorkerSettings(read_memory_bytes=2**20), str(tmp_path), REPORTS.append)
+    plan = PLAN.model_copy(update={"read_limits": LIMITS.model_copy(update={"memory_bytes": 2**20})})
+    engine = EngineProcess(plan, WorkerSettings(), str(tmp_path), REPORTS.append)
     try:
         engine.prepare()
         engine.run(Run(job_id="job", attempt=1, spec={"camera": CAMERA, "mesh_format": "obj"}))
@@ -40,6 +45,28 @@ def test_a_mesh_that_needs_too_much_memory_fails(tmp_path: Path) -> None:
         assert isinstance(message, Failed)
         assert (message.reason, message.replace_engine) == ("OUT_OF_MEMORY", True)
         assert "fewer vertices" in message.detail
+    finally:
+        engine.kill()
+
+
+def test_files_that_take_too_long_cost_their_job_and_not_the_engine(tmp_path: Path) -> None:
+    blobs = BlobStore(str(tmp_path))
+    image = io.BytesIO()
+    Image.new("L", (4096, 4096)).save(image, "PNG")
+    blobs.put(keys.input_blob("job", keys.MESH), (SAMPLE / "coarse.obj").read_bytes())
+    blobs.put(keys.input_blob("job", keys.SILHOUETTE), image.getvalue())
+    plan = PLAN.model_copy(update={"read_limits": LIMITS.model_copy(update={"base_cpu_s": 0.001})})
+    engine = EngineProcess(plan, WorkerSettings(), str(tmp_path), REPORTS.append)
+    spec = {"camera": json.loads((SAMPLE / "camera.json").read_text()), "mesh_format": "obj"}
+    try:
+        engine.prepare()
+        for attempt in (1, 2):
+            engine.run(Run(job_id="job", attempt=attempt, spec=spec))
+            *_, message = [engine.receive(60) for _ in range(3)]
+            assert isinstance(message, Failed)
+            assert (message.reason, message.replace_engine) == ("MESH_INVALID", False)
+            assert "simplify the mesh" in message.detail
+        assert engine.warm
     finally:
         engine.kill()
 
@@ -61,10 +88,9 @@ def test_an_engine_that_takes_too_long_to_start_is_killed(tmp_path: Path) -> Non
 def test_a_mesh_that_the_edge_let_in_is_read_whatever_its_size(tmp_path: Path) -> None:
     """An operator may let in more than the default: the limit on bytes is the edge's alone."""
     blobs = BlobStore(str(tmp_path))
-    sample = Path(__file__).parents[3] / "examples" / "samples" / "chair"
     blobs.put(keys.input_blob("job", keys.MESH), padded_glb(257 * 2**20))
-    blobs.put(keys.input_blob("job", keys.SILHOUETTE), (sample / "silhouette.png").read_bytes())
-    spec = {"camera": json.loads((sample / "camera.json").read_text())}
+    blobs.put(keys.input_blob("job", keys.SILHOUETTE), (SAMPLE / "silhouette.png").read_bytes())
+    spec = {"camera": json.loads((SAMPLE / "camera.json").read_text())}
     engine = EngineProcess(PLAN, WorkerSettings(), str(tmp_path), REPORTS.append)
     try:
         engine.prepare()

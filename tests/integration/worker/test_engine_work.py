@@ -27,8 +27,10 @@ from refine_worker import messages
 from refine_worker.engine.main import work
 from refine_worker.engine.refinery import Refinery, Reporter
 from refine_worker.messages import Failed, FromEngine, Progressed, Ready, Run
+from refine_worker.settings import ReadLimits
 
 SAMPLE = Path(__file__).parents[3] / "examples" / "samples" / "table"
+LIMITS = ReadLimits(base_cpu_s=60, base_wall_s=60, memory_bytes=2**32)
 DEVICES = [
     pytest.param("cpu"),
     pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")),
@@ -85,7 +87,7 @@ def nobody_tidies() -> Iterator[None]:
 def test_nothing_of_a_job_stays_however_it_ends(
     device: str, blobs: BlobStore, pipe: tuple[Connection, Connection]
 ) -> None:
-    refinery = Refinery(blobs, torch.device(device), 2**40)
+    refinery = Refinery(blobs, torch.device(device), LIMITS)
     go_on, stop = threading.Event(), threading.Event()
     stop.set()
     ends = [
@@ -138,9 +140,9 @@ def test_all_views_and_what_is_unknown_reach_the_engine(
     with pytest.raises(
         SilhouetteInvalid, match="view 2: expected an ignore mask of the silhouette's size 224x224"
     ):
-        Refinery(blobs, torch.device("cpu"), 2**32).refine(more, lambda _: None, lambda: False)
+        Refinery(blobs, torch.device("cpu"), LIMITS).refine(more, lambda _: None, lambda: False)
     blobs.put(keys.input_blob("job", "ignore_2"), _half_known())
-    done = Refinery(blobs, torch.device("cpu"), 2**32).refine(more, lambda _: None, lambda: False)
+    done = Refinery(blobs, torch.device("cpu"), LIMITS).refine(more, lambda _: None, lambda: False)
     assert {artifact.name for artifact in done.artifacts} >= {"refined.glb", "report.json"}
 
 

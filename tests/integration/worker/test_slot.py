@@ -13,7 +13,7 @@ from refine_jobs.slots import SlotState, SlotStatus
 from refine_jobs.worker_store import WorkerStore
 from refine_worker.plan import SlotPlan
 from refine_worker.reports import BEAT_S, Beat, Report
-from refine_worker.settings import WorkerSettings
+from refine_worker.settings import ReadLimits, WorkerSettings
 from refine_worker.slot import slot as slot_module
 from refine_worker.slot.engine_process import EngineProcess
 from refine_worker.slot.slot import Slot
@@ -21,7 +21,8 @@ from refine_worker.slot.slot import Slot
 if TYPE_CHECKING:
     from worker_process import Workplace
 
-PLAN = SlotPlan(name="slot-7", device="cpu", threads=1)
+LIMITS = ReadLimits(base_cpu_s=8, base_wall_s=30, memory_bytes=2**30)
+PLAN = SlotPlan(name="slot-7", device="cpu", threads=1, read_limits=LIMITS)
 
 
 class SlowPulse(WorkerStore):

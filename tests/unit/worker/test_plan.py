@@ -10,10 +10,12 @@ import pytest
 from refine_worker.plan import PlanError, find_cuda_devices, plan_slots
 from refine_worker.settings import WorkerSettings
 
+GIB = 2**30
+
 
 def plan(cores: int, cuda: list[str] | None = None, **settings: object) -> list[tuple[str, str, int]]:
     """Device, CUDA_VISIBLE_DEVICES and threads of every slot."""
-    slots = plan_slots(WorkerSettings.model_validate(settings), cores, cuda or [], "host")
+    slots = plan_slots(WorkerSettings.model_validate(settings), cores, GIB, cuda or [], "host")
     assert len({slot.name for slot in slots}) == len(slots)
     return [(slot.device, slot.cuda_visible_devices, slot.threads) for slot in slots]
 
@@ -33,7 +35,7 @@ def test_a_card_has_four_slots() -> None:
 
 
 def test_slots_that_share_a_card_tell_torch_so() -> None:
-    (slot, *_) = plan_slots(WorkerSettings(), 16, ["0"], "host")
+    (slot, *_) = plan_slots(WorkerSettings(), 16, GIB, ["0"], "host")
     environment = slot.engine_environment()
     assert environment["CUDA_VISIBLE_DEVICES"] == "0"
     assert environment["PYTORCH_ALLOC_CONF"] == "expandable_segments:True"
@@ -71,9 +73,25 @@ def test_this_machine_needs_no_cuda() -> None:
 
 
 def test_an_engine_gets_its_threads_and_its_device_only() -> None:
-    [slot] = plan_slots(WorkerSettings(slots_per_device=1, threads_per_slot=3), 4, ["7"], "host")
+    [slot] = plan_slots(WorkerSettings(slots_per_device=1, threads_per_slot=3), 4, GIB, ["7"], "host")
     environment = slot.engine_environment()
     assert environment["CUDA_VISIBLE_DEVICES"] == "7"
     threads = {name: value for name, value in environment.items() if name.endswith("NUM_THREADS")}
     assert set(threads) >= {"OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"}
     assert set(threads.values()) == {"3"}
+
+
+@pytest.mark.parametrize(
+    ("memory", "cores", "read"), [(16 * GIB, 8, GIB), (512 * GIB, 8, 4 * GIB), (2 * GIB, 1, GIB)]
+)
+def test_reading_may_take_half_of_what_there_is_for_a_slot(memory: int, cores: int, read: int) -> None:
+    slots = plan_slots(WorkerSettings(), cores, memory, [], "host")
+    assert [slot.read_limits.memory_bytes for slot in slots] == [read] * cores
+    [slot] = plan_slots(WorkerSettings(read_memory_bytes=7), 1, memory, [], "host")
+    assert slot.read_limits.memory_bytes == 7
+
+
+def test_large_files_may_take_longer() -> None:
+    [slot] = plan_slots(WorkerSettings(read_cpu_s=5, read_timeout_s=20), 1, GIB, [], "host")
+    assert (slot.read_limits.cpu_s(0), slot.read_limits.wall_s(0)) == (5, 20)
+    assert (slot.read_limits.cpu_s(20_000_000), slot.read_limits.wall_s(20_000_000)) == (15, 40)

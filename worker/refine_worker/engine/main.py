@@ -27,6 +27,7 @@ from refine_jobs.record import Task
 
 from .. import messages
 from ..messages import Answered, Cancel, Done, Failed, FromEngine, Ready, Run
+from ..settings import ReadLimits
 from .refinery import MemoryShort, Refinery
 from .warm_up import presets_to_warm, warm_up
 
@@ -45,7 +46,7 @@ def main(argv: Sequence[str]) -> None:
     connection = Connection(options.pipe)
     inbox = Inbox(connection)
     device = torch.device("cuda" if os.environ.get("CUDA_VISIBLE_DEVICES") else "cpu")
-    refinery = Refinery(BlobStore(options.blobs), device, options.read_memory_bytes)
+    refinery = Refinery(BlobStore(options.blobs), device, ReadLimits.model_validate_json(options.limits))
     for preset in presets_to_warm(device):
         warm_up(device, preset)
     gpu_uuid = str(torch.cuda.get_device_properties(device).uuid) if device.type == "cuda" else None
@@ -64,7 +65,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("slot")
     parser.add_argument("threads", type=int)
     parser.add_argument("blobs", help="location of the blob store")
-    parser.add_argument("read_memory_bytes", type=int)
+    parser.add_argument("limits", help="ReadLimits, as JSON")
     return parser.parse_args(argv)
 
 

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import gc
-import resource
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 
 import torch
 
@@ -25,6 +22,8 @@ from refine_proto.models import Artifact, RefinementSpec, Validation
 from refine_proto.progress import ProgressMeter
 
 from ..messages import Answered, Done, FromEngine, Phase, PhaseStarted, Progressed, Run
+from ..settings import ReadLimits
+from .limits import parsing
 
 Tell = Callable[[FromEngine], None]
 
@@ -36,8 +35,8 @@ class MemoryShort(Exception):
 class Refinery:
     """Turns the files of a job into its artifacts, on one device."""
 
-    def __init__(self, blobs: BlobStore, device: torch.device, read_memory_bytes: int) -> None:
-        self._blobs, self._device, self._read_memory_bytes = blobs, device, read_memory_bytes
+    def __init__(self, blobs: BlobStore, device: torch.device, limits: ReadLimits) -> None:
+        self._blobs, self._device, self._limits = blobs, device, limits
 
     def refine(self, run: Run, tell: Tell, cancelled: Callable[[], bool]) -> Done:
         """Do the job. Raises the engine's errors and MemoryShort."""
@@ -78,7 +77,8 @@ class Refinery:
         }
         tell(PhaseStarted(phase=Phase.READ))
         name = f"mesh.{spec.mesh_format}" if spec.mesh_format else "mesh"
-        with _explained("reading the mesh and the silhouette"), _memory_limit(self._read_memory_bytes):
+        cpu_s = self._limits.cpu_s(sum(map(len, files.values())))
+        with _explained("reading the mesh and the silhouette"), parsing(cpu_s, self._limits.memory_bytes):
             return check_files(
                 files[MESH],
                 name,
@@ -137,19 +137,3 @@ def _explained(doing: str) -> Iterator[None]:
 
 def _too_little_memory(doing: str) -> str:
     return f"{doing} needs more memory than there is; use a mesh with fewer vertices"
-
-
-@contextmanager
-def _memory_limit(bytes_more: int) -> Iterator[None]:
-    """Inside, this process may map so much more memory; only Linux keeps to it."""
-    if sys.platform != "linux":
-        yield
-        return
-    mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    limits = [mapped + bytes_more, *(limit for limit in before if limit != resource.RLIM_INFINITY)]
-    resource.setrlimit(resource.RLIMIT_AS, (min(limits), before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)

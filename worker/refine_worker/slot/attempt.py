@@ -26,7 +26,7 @@ class Stopped(Exception):
 
 
 class Lost(Exception):
-    """The engine process was killed during the job, which may have been the job's doing; `error` says how."""
+    """The engine process was killed or held up during the job, perhaps by the job; `error` says how."""
 
     def __init__(self, error: RefineError) -> None:
         super().__init__(error.detail)
@@ -39,6 +39,7 @@ class Attempt:
     def __init__(self, slot: Slot, job: Job) -> None:
         self._slot, self._job, self._settings = slot, job, slot.settings
         self._started = self._phase_started = self._last_sign = time.monotonic()
+        self._read_wall_s = slot.plan.read_limits.wall_s(job.size_bytes)
         self._phase = Phase.FETCH
         self._progress: Progress | None = None  # not reported yet
         self._cancelled_at: float | None = None
@@ -138,9 +139,12 @@ class Attempt:
                 f"expected an end within {self._job.timeout_s:g} s (options.timeout_s), got none in phase "
                 f"{self._phase}; allow more time or ask for fewer iterations"
             )
-        if self._phase is Phase.READ and now - self._phase_started > settings.read_timeout_s:
-            raise MeshInvalid(
-                f"expected files that can be read in {settings.read_timeout_s:g} s; simplify the mesh"
+        if self._phase is Phase.READ and now - self._phase_started > self._read_wall_s:
+            # The engine process keeps to its CPU seconds: it was stopped, or the machine has no time for it.
+            raise Lost(
+                MeshInvalid(
+                    f"expected files that can be read in {self._read_wall_s:.3g} s; simplify the mesh"
+                )
             )
         if now - self._last_sign > settings.stall_timeout_s:
             raise Internal(

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from refine_jobs.logs import fields
-from refine_proto.errors import Internal, OutOfMemory, RefineError, WorkerLost
+from refine_proto.errors import Internal, MeshInvalid, OutOfMemory, RefineError, WorkerLost
 
 from .. import messages
 from ..messages import Cancel, FromEngine, Ready, Run
@@ -125,7 +125,7 @@ class EngineProcess:
         command = [
             sys.executable, "-m", "refine_worker.engine", str(os.getpid()), str(theirs.fileno()),
             str(self._crash_report), self._plan.name, str(self._plan.threads), self._blob_location,
-            str(self._settings.read_memory_bytes),
+            self._plan.read_limits.model_dump_json(),
         ]  # fmt: skip
         environment = {k: v for k, v in os.environ.items() if k not in _SECRETS}
         with theirs:
@@ -197,6 +197,8 @@ def _cause_of_death(code: int, out_of_memory: bool) -> RefineError:
             f"the engine process was killed by the system for lack of memory ({ending}); "
             "use a mesh with fewer vertices, fewer slots or a larger machine"
         )
+    if code == -signal.SIGXCPU:
+        return MeshInvalid("expected files that can be read in less CPU time; simplify the mesh")
     if code in _KILLED:
         return WorkerLost(f"the engine process was killed from outside ({ending})")
     return Internal(f"the engine process crashed ({ending}); please report it with the request id")
