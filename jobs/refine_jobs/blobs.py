@@ -11,9 +11,11 @@ import hashlib
 import shutil
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import obstore
+from obstore.exceptions import BaseError
 from obstore.store import LocalStore, ObjectStore, S3Store
 
 CHUNK_BYTES = 64 * 1024
@@ -42,8 +44,26 @@ class BlobNotFound(Exception):
     """No blob of this name."""
 
 
+class BlobStoreFailed(Exception):
+    """The store is full or away, through no fault of what was asked of it."""
+
+
+@contextmanager
+def _failing_as_one() -> Iterator[None]:
+    """Tell the errors of folders and buckets as BlobStoreFailed; that something is not there passes."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except (OSError, BaseError) as error:
+        raise BlobStoreFailed(f"the blob store failed: {error}") from error
+
+
 class BlobStore:
-    """Blobs below `location`: a folder, made if needed, or `s3://bucket/prefix`."""
+    """Blobs below `location`: a folder, made if needed, or `s3://bucket/prefix`.
+
+    All that reads or writes raises BlobStoreFailed.
+    """
 
     def __init__(self, location: str) -> None:
         self._store: ObjectStore
@@ -58,7 +78,8 @@ class BlobStore:
 
     def put(self, name: str, data: bytes) -> Blob:
         """Store `data`."""
-        obstore.put(self._store, name, data, chunk_size=PART_BYTES, max_concurrency=1)
+        with _failing_as_one():
+            obstore.put(self._store, name, data, chunk_size=PART_BYTES, max_concurrency=1)
         return Blob(len(data), hashlib.sha256(data).hexdigest())
 
     async def put_stream(self, name: str, chunks: AsyncIterable[bytes]) -> Blob:
@@ -74,33 +95,37 @@ class BlobStore:
                 writer = writer or obstore.open_writer(
                     self._store, name, buffer_size=PART_BYTES, max_concurrency=1
                 )
-                await asyncio.to_thread(writer.write, bytes(pending))
+                with _failing_as_one():
+                    await asyncio.to_thread(writer.write, bytes(pending))
                 pending.clear()
-        if writer is None:
-            await asyncio.to_thread(obstore.put, self._store, name, bytes(pending))
-        else:
-            await asyncio.to_thread(writer.write, bytes(pending))
-            await asyncio.to_thread(writer.close)
+        with _failing_as_one():
+            if writer is None:
+                await asyncio.to_thread(obstore.put, self._store, name, bytes(pending))
+            else:
+                await asyncio.to_thread(writer.write, bytes(pending))
+                await asyncio.to_thread(writer.close)
         return Blob(size, digest.hexdigest())
 
     def get(self, name: str) -> bytes:
         """All bytes; raises BlobNotFound."""
         try:
-            return bytes(obstore.get(self._store, name).bytes())
+            with _failing_as_one():
+                return bytes(obstore.get(self._store, name).bytes())
         except FileNotFoundError:
             raise BlobNotFound(name) from None
 
     def size_bytes(self, name: str) -> int:
         """Number of bytes; raises BlobNotFound."""
         try:
-            return int(obstore.head(self._store, name)["size"])
+            with _failing_as_one():
+                return int(obstore.head(self._store, name)["size"])
         except FileNotFoundError:
             raise BlobNotFound(name) from None
 
     async def stream(self, name: str, start: int = 0, stop: int | None = None) -> AsyncGenerator[bytes, None]:
         """Bytes from `start` to before `stop` (default: the end) in chunks; raises BlobNotFound first."""
         chunks = await asyncio.to_thread(self._open, name, start, stop)
-        while (chunk := await asyncio.to_thread(next, chunks, None)) is not None:
+        while (chunk := await asyncio.to_thread(_next, chunks)) is not None:
             yield bytes(chunk)
 
     def _open(self, name: str, start: int, stop: int | None) -> Iterator[bytes]:
@@ -108,7 +133,8 @@ class BlobStore:
         stop = size if stop is None else min(stop, size)
         if start >= stop:
             return iter(())
-        result = obstore.get(self._store, name, options={"range": (start, stop)})
+        with _failing_as_one():
+            result = obstore.get(self._store, name, options={"range": (start, stop)})
         return iter(result.stream(min_chunk_size=CHUNK_BYTES))
 
     def delete_folder(self, folder: str) -> int:
@@ -129,7 +155,13 @@ class BlobStore:
         return Space(usage.total, usage.free)
 
     def check_writable(self) -> None:
-        """Write and delete a probe; raises whatever the store raises."""
+        """Write and delete a probe."""
         probe = f"probe/{uuid.uuid4().hex}"  # its own name: other processes probe too
-        obstore.put(self._store, probe, b"probe")
-        obstore.delete(self._store, probe)
+        with _failing_as_one():
+            obstore.put(self._store, probe, b"probe")
+            obstore.delete(self._store, probe)
+
+
+def _next(chunks: Iterator[bytes]) -> bytes | None:
+    with _failing_as_one():
+        return next(chunks, None)

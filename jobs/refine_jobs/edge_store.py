@@ -32,6 +32,7 @@ from refine_proto.models import Event, FieldError, Refinement, RefinementPage, R
 
 from . import keys
 from .delivery import Delivery
+from .durable import Durable
 from .feed import EventFeed
 from .record import Job, Submission, Task, encode, to_json
 from .redis_server import RETRY_S, unavailable
@@ -58,6 +59,7 @@ class JobStore:
         self._delivery = Delivery(settings.pool)
         self.feed = EventFeed(redis, self._find)
         self._scripts = Scripts(redis, clock)
+        self._durable = Durable(redis) if settings.sync_submissions else None
 
     async def close(self) -> None:
         """Stop the event feed and close the connections."""
@@ -97,7 +99,8 @@ class JobStore:
     async def submit(self, submission: Submission) -> Submitted:
         """Queue a job, or give the first answer again for the same idempotency key and content.
 
-        Raises IdempotencyKeyReused for the same key with other content, QueueFull and QuotaExceeded. In every
+        Raises IdempotencyKeyReused for the same key with other content, QueueFull and QuotaExceeded, and
+        Unavailable where Redis does not say that it has it on its disk: it may be queued then. In every
         case but a new job the blobs of the submission are removed.
         """
         settings, spec = self._settings, self.check_options(submission.spec)
@@ -136,6 +139,8 @@ class JobStore:
             raise Unavailable(
                 "the upload took too long and was removed; send it again", retry_after_s=RETRY_S
             )
+        if self._durable and submission.task is Task.REFINE:
+            await self._durable.written()
         return Submitted(await self.get(submission.owner, job_id), outcome == "replayed")
 
     @unavailable

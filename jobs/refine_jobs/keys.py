@@ -84,6 +84,11 @@ def input_blob(job_id: str, part: str) -> str:
     return f"jobs/{job_id}/input/{part}"
 
 
+def artifact_folder(job_id: str, attempt: int) -> str:
+    """Folder of what one attempt has made."""
+    return f"jobs/{job_id}/artifacts/{attempt}"
+
+
 def artifact_blob(job_id: str, attempt: int, name: str) -> str:
     """Name of an artifact; one folder per attempt, so that a lost worker cannot overwrite its successor's."""
-    return f"jobs/{job_id}/artifacts/{attempt}/{name}"
+    return f"{artifact_folder(job_id, attempt)}/{name}"

@@ -34,6 +34,9 @@ class JobSettings(EnvironmentSettings):
     retention_s: float = Field(86_400, gt=0, description="From the end of a job to the removal of its data.")
     tombstone_s: float = Field(7 * 86_400, gt=0, description="How long an expired id still answers 410.")
     idempotency_s: float = Field(86_400, gt=0, description="How long an idempotency key is remembered.")
+    sync_submissions: bool = Field(
+        True, description="Accept a submission only once Redis has it in its append-only file."
+    )
     max_queued: int = Field(10_000, ge=1, description="Queued jobs of all owners; more: QUEUE_FULL.")
     max_queued_per_owner: int = Field(1_000, ge=1, description="Queued jobs of one; more: QUOTA_EXCEEDED.")
     max_attempts: int = Field(3, ge=1, description="Attempts that one job may lose before it fails.")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,7 +20,7 @@ import pytest
 from pydantic import ValidationError
 from redis import Redis
 
-from refine_jobs import keys
+from refine_jobs import durable, embedded, keys
 from refine_jobs.edge_store import JobStore
 from refine_jobs.embedded import EmbeddedRedis, EmbeddedRedisError, find_server
 from refine_jobs.health import Health
@@ -26,7 +28,7 @@ from refine_jobs.redis_server import RedisUnfit, check_server, connect, connect_
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState, SlotStatus
 from refine_proto.errors import Unavailable
-from refine_proto.models import Refinement
+from refine_proto.models import Refinement, State
 
 if TYPE_CHECKING:
     from .conftest import HandClock, Jobs
@@ -136,6 +138,56 @@ def test_an_evicting_server_is_refused(tmp_path: Path) -> None:
         client.config_set("maxmemory-policy", "allkeys-lru")
         with pytest.raises(RedisUnfit, match="allkeys-lru"):
             check_server(client)
+
+
+def test_a_server_that_could_lose_what_was_accepted_is_refused(tmp_path: Path) -> None:
+    with EmbeddedRedis(tmp_path) as server, connect(server.url) as client:
+        client.config_set("appendonly", "no")
+        with pytest.raises(RedisUnfit, match="append-only file"):
+            check_server(client)
+        check_server(client, sync_submissions=False)
+
+
+def test_a_server_too_old_to_wait_for_its_disk_has_to_sync_every_write(
+    jobs: Jobs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older = shutil.which("redis-server")
+    version = subprocess.run([older, "--version"], capture_output=True, text=True).stdout if older else ""
+    if not re.search(r"v=(6\.2|7\.[01])\.", version):
+        pytest.skip("needs a redis-server of 6.2, 7.0 or 7.1 on PATH (Debian 12 has one)")
+    monkeypatch.setattr(embedded, "find_server", lambda: older)
+
+    async def submit(url: str) -> State:
+        store = JobStore(connect_async(url), JobSettings(data_folder=tmp_path))
+        try:
+            return (await jobs.submit(store)).refinement.state
+        finally:
+            await store.close()
+
+    with EmbeddedRedis(tmp_path / "redis") as server, connect(server.url) as client:
+        with pytest.raises(RedisUnfit, match=r"appendfsync always, got \S+ with everysec"):
+            check_server(client)
+        client.config_set("appendfsync", "always")
+        check_server(client)
+        assert asyncio.run(submit(server.url)) is State.QUEUED
+
+
+def test_what_redis_has_not_on_its_disk_is_not_accepted(
+    jobs: Jobs, redis: Redis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that takes longer than anybody waits; what was queued all the same is found by its key."""
+    monkeypatch.setattr(durable, "_PATIENCE_S", 0.1)
+
+    async def scenario() -> None:
+        async with jobs.with_settings(sync_submissions=True).edge() as store:
+            redis.config_set("appendfsync", "no")  # nothing is ever known to be there
+            with pytest.raises(Unavailable, match="same idempotency key"):
+                await jobs.submit(store, key="k", content=b"mesh")
+            redis.config_set("appendfsync", "everysec")
+            again = await jobs.submit(store, key="k", content=b"mesh")
+            assert again.replayed
+
+    asyncio.run(scenario())
 
 
 def test_ctrl_c_does_not_reach_the_server(redis: Redis) -> None:

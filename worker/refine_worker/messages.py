@@ -5,7 +5,7 @@ slot                      engine
 Run   ->
       <- PhaseStarted, Progressed ...
 Cancel ->                         at any time while it runs
-      <- Done, Answered or Failed once for each Run
+      <- Done, Answered, Failed or Returned once for each Run
 """
 
 from __future__ import annotations
@@ -97,8 +97,15 @@ class Failed(_Message):
     replace_engine: bool = False  # the process may be damaged
 
 
+class Returned(_Message):
+    """No result, through no fault of the job: the blob store is full or away. `why` is for the log."""
+
+    type: Literal["returned"] = "returned"
+    why: str
+
+
 ToEngine = Run | Cancel
-FromEngine = Ready | PhaseStarted | Progressed | Done | Answered | Failed
+FromEngine = Ready | PhaseStarted | Progressed | Done | Answered | Failed | Returned
 _TO_ENGINE: TypeAdapter[ToEngine] = TypeAdapter(Annotated[ToEngine, Field(discriminator="type")])
 _FROM_ENGINE: TypeAdapter[FromEngine] = TypeAdapter(Annotated[FromEngine, Field(discriminator="type")])
 

@@ -52,7 +52,7 @@ def build_supervisor() -> Supervisor:
         )
     url = jobs.redis_url.get_secret_value()
     server = connect(url)
-    check_server(server)
+    check_server(server, sync_submissions=False)  # the service, which promises that, has asked
     blobs = BlobStore(jobs.blob_location)
     blobs.check_writable()
     cores = usable_cores()

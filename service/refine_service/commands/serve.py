@@ -52,7 +52,7 @@ def serve_command(argv: Sequence[str]) -> int:
         else:
             redis_url = jobs.redis_url.get_secret_value()
             with connect(redis_url) as server:
-                check_server(server)
+                check_server(server, jobs.sync_submissions)
         values["REFINE_REDIS_URL"] = redis_url
         return asyncio.run(_supervise(values, jobs.data_folder, lifelines))
 

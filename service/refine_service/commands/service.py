@@ -50,7 +50,7 @@ def service_command(argv: Sequence[str]) -> int:
     redis_url = jobs.redis_url.get_secret_value()
     try:
         with connect(redis_url) as server:
-            check_server(server)
+            check_server(server, jobs.sync_submissions)
     except (redis.exceptions.ConnectionError, redis.exceptions.TimeoutError) as error:
         log.warning("Redis does not answer yet: %s", error)
 

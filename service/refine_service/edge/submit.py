@@ -7,12 +7,13 @@ has the reason that it would have there.
 from __future__ import annotations
 
 import asyncio
+import logging
 import tempfile
 from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import BinaryIO, cast
 
-from obstore.exceptions import BaseError as BlobError
 from starlette.datastructures import UploadFile
 
 from refine_jobs import keys
@@ -36,6 +37,10 @@ from .file_checks import check_camera_size, image_size, recognise_mesh
 
 _MEMORY_BYTES = 2**20  # a larger file waits on disk
 _CHUNK_BYTES = 2**20
+_FULL_RETRY_S = 5.0  # somebody has to make room
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -140,12 +145,22 @@ def check_size(part: str, size_bytes: int, limit_bytes: int) -> None:
         raise PayloadTooLarge(detail, errors=[FieldError(pointer=f"/{part}", detail=detail)])
 
 
-def took_too_long(settings: ServiceSettings) -> UploadTimeout:
-    """The error of an upload that does not end."""
-    return UploadTimeout(
-        f"expected the upload within {settings.upload_timeout_s:g} s, got only a part of it; send a smaller "
-        "mesh or use a faster connection"
-    )
+@asynccontextmanager
+async def receiving(settings: ServiceSettings) -> AsyncIterator[None]:
+    """Around the reading of an upload: raises UploadTimeout, and Unavailable if its files find no room."""
+    try:
+        async with asyncio.timeout(settings.upload_timeout_s):
+            yield
+    except TimeoutError:
+        raise UploadTimeout(
+            f"expected the upload within {settings.upload_timeout_s:g} s, got only a part of it; send a "
+            "smaller mesh or use a faster connection"
+        ) from None
+    except OSError as error:
+        log.warning("an upload found no room in %s: %s", tempfile.gettempdir(), error)
+        raise Unavailable(
+            "the service's temporary folder takes no writes; try again", retry_after_s=_FULL_RETRY_S
+        ) from error
 
 
 async def _head(file: UploadFile) -> bytes:
@@ -155,10 +170,7 @@ async def _head(file: UploadFile) -> bytes:
 
 
 async def _store(edge: Edge, name: str, file: UploadFile) -> Blob:
-    try:
-        return await edge.blobs.put_stream(name, _chunks(file))
-    except (OSError, BlobError) as error:
-        raise Unavailable("the blob store takes no writes; try again", retry_after_s=5.0) from error
+    return await edge.blobs.put_stream(name, _chunks(file))
 
 
 async def _chunks(file: UploadFile) -> AsyncIterator[bytes]:

@@ -15,7 +15,7 @@ from refine_proto.errors import FormatUnsupported, PayloadTooLarge, from_validat
 from refine_proto.formats import IGNORE, IMAGE_PARTS, MESH, SILHOUETTE, of_view
 from refine_proto.models import RefinementRequest, RefinementSpec, View
 
-from ..edge.submit import Upload, filled_file, new_file, took_too_long
+from ..edge.submit import Upload, filled_file, new_file, receiving
 from ..settings import ServiceSettings
 
 _FILES = (MESH, *IMAGE_PARTS)
@@ -30,14 +30,11 @@ _parsing = asyncio.Semaphore(2)  # JSON bodies that are in memory at a time: eac
 async def read_body(request: Request, settings: ServiceSettings) -> Upload:
     """Read the body, no further than the limits; raises InvalidInput with the fields' pointers."""
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    try:
-        async with asyncio.timeout(settings.upload_timeout_s):
-            if media_type == "multipart/form-data":
-                return await _read_multipart(request, settings)
-            if media_type == "application/json":
-                return await _read_json(request, settings)
-    except TimeoutError:
-        raise took_too_long(settings) from None
+    async with receiving(settings):
+        if media_type == "multipart/form-data":
+            return await _read_multipart(request, settings)
+        if media_type == "application/json":
+            return await _read_json(request, settings)
     raise FormatUnsupported(
         f"expected Content-Type multipart/form-data or application/json, got {media_type or 'none'}"
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 
 from pydantic import ValidationError
@@ -14,7 +13,7 @@ from refine_proto.formats import IMAGE_PARTS, MESH, SILHOUETTE
 from refine_proto.models import RefinementSpec
 from refine_proto.v1 import refine_pb2 as pb
 
-from ..edge.submit import Upload, check_size, new_file, took_too_long
+from ..edge.submit import Upload, check_size, new_file, receiving
 from ..settings import ServiceSettings
 
 
@@ -22,18 +21,15 @@ async def read_messages(
     messages: AsyncIterator[pb.CreateRefinementRequest], settings: ServiceSettings
 ) -> tuple[str | None, Upload]:
     """The caller's request id, if any, and the upload; reads no further than the limits."""
-    try:
-        async with asyncio.timeout(settings.upload_timeout_s):
-            header = await _header(messages, settings)
-            spec = _spec(header)
-            upload = Upload(spec, files := {MESH: new_file(), SILHOUETTE: new_file()})
-            try:
-                await _fill(files, messages, settings)
-            except BaseException:
-                await upload.aclose()
-                raise
-    except TimeoutError:
-        raise took_too_long(settings) from None
+    async with receiving(settings):
+        header = await _header(messages, settings)
+        spec = _spec(header)
+        upload = Upload(spec, files := {MESH: new_file(), SILHOUETTE: new_file()})
+        try:
+            await _fill(files, messages, settings)
+        except BaseException:
+            await upload.aclose()
+            raise
     return (header.request_id if header.HasField("request_id") else None), upload
 
 

@@ -52,7 +52,7 @@ def slot(store: SlowPulse, own_workplace: Workplace) -> Iterator[Slot]:
     settings = WorkerSettings()
     reports: list[Report] = []
     engine = EngineProcess(PLAN, settings, own_workplace.settings.blob_location, reports.append)
-    slot = Slot(PLAN, store, engine, settings, reports.append)
+    slot = Slot(PLAN, store, engine, own_workplace.blobs, settings, reports.append)
     yield slot
     store.go_on.set()
     slot.close()

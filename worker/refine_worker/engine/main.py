@@ -21,12 +21,12 @@ import torch
 
 from refine_engine.errors import RefineError
 from refine_engine.kernels.cuda import keep_float32
-from refine_jobs.blobs import BlobStore
+from refine_jobs.blobs import BlobStore, BlobStoreFailed
 from refine_jobs.logs import configure_logs, log_fields
 from refine_jobs.record import Task
 
 from .. import messages
-from ..messages import Answered, Cancel, Done, Failed, FromEngine, Ready, Run
+from ..messages import Answered, Cancel, Done, Failed, FromEngine, Ready, Returned, Run
 from ..settings import ReadLimits
 from .refinery import MemoryShort, Refinery
 from .warm_up import presets_to_warm, warm_up
@@ -103,7 +103,7 @@ def work(refinery: Refinery, run: Run, connection: Connection, cancelled: thread
 
 def _attempt(
     refinery: Refinery, run: Run, connection: Connection, cancelled: threading.Event
-) -> Done | Answered | Failed:
+) -> Done | Answered | Failed | Returned:
     """Do the task; every way in which that can fail becomes a message."""
 
     def tell(message: FromEngine) -> None:
@@ -115,6 +115,8 @@ def _attempt(
         return refinery.refine(run, tell, cancelled.is_set)
     except RefineError as error:
         return Failed(reason=error.reason, detail=str(error))
+    except BlobStoreFailed as error:
+        return Returned(why=str(error))
     except MemoryShort as error:
         return Failed(reason="OUT_OF_MEMORY", detail=str(error), replace_engine=True)
     except Exception as error:

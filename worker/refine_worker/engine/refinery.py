@@ -16,7 +16,7 @@ from refine_engine.method.config import RefineConfig
 from refine_engine.request import Inputs, Observation, check_files
 from refine_engine.values import Progress
 from refine_jobs import keys
-from refine_jobs.blobs import BlobStore
+from refine_jobs.blobs import BlobStore, BlobStoreFailed
 from refine_proto.formats import ARTIFACTS, IGNORE, MESH, SILHOUETTE, of_view
 from refine_proto.models import Artifact, RefinementSpec, Validation
 from refine_proto.progress import ProgressMeter
@@ -96,10 +96,14 @@ class Refinery:
             )
 
     def _store(self, run: Run, artifacts: Mapping[str, bytes]) -> tuple[Artifact, ...]:
-        stored = {
-            name: self._blobs.put(keys.artifact_blob(run.job_id, run.attempt, name), data)
-            for name, data in artifacts.items()
-        }
+        try:
+            stored = {
+                name: self._blobs.put(keys.artifact_blob(run.job_id, run.attempt, name), data)
+                for name, data in artifacts.items()
+            }
+        except BlobStoreFailed:
+            self._blobs.delete_folder(keys.artifact_folder(run.job_id, run.attempt))  # others need the room
+            raise
         return tuple(
             Artifact(
                 name=name,

@@ -12,7 +12,7 @@ from refine_jobs.record import Job
 from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, RefineError, error_class
 from refine_proto.models import Progress, State
 
-from ..messages import Answered, Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Run
+from ..messages import Answered, Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Returned, Run
 from .engine_process import EngineDied
 from .slot import Slot
 
@@ -65,13 +65,16 @@ class Attempt:
             raise
         finally:
             self._end_stage()
+        if isinstance(ended, Returned):
+            self._slot.blobs_failed = True
+            raise Stopped(ended.why)
         if not isinstance(ended, Failed):
             return ended
         if ended.replace_engine:
             self._slot.engine.kill()
         raise error_class(ended.reason)(ended.detail)
 
-    def _run(self) -> Done | Answered | Failed:
+    def _run(self) -> Done | Answered | Failed | Returned:
         engine, job = self._slot.engine, self._job
         run = Run(
             job_id=job.id,
@@ -86,7 +89,7 @@ class Attempt:
         while True:
             self._slot.give_sign()
             message = engine.receive(max(0.0, self._wake_at(next_tick) - time.monotonic()))
-            if isinstance(message, Done | Answered | Failed):
+            if isinstance(message, Done | Answered | Failed | Returned):
                 if self._progress:  # the last iteration; watchers wait for it
                     self._renew()
                 return message

@@ -12,6 +12,7 @@ from rq import Queue, SimpleWorker
 from rq.job import Job as RqJob
 from rq.serializers import JSONSerializer
 
+from refine_jobs.blobs import BlobStore
 from refine_jobs.delivery import FORMER_TASK, TASK, worker_queue
 from refine_jobs.logs import configure_logs
 from refine_jobs.redis_server import connect, connect_for_rq
@@ -50,6 +51,7 @@ class SlotWorker(SimpleWorker):
         """Wait for a job, and see now and then whether the engine process still waits too."""
         while True:
             SLOT.get().prepare()
+            SLOT.get().wait_for_blobs()
             found = super().dequeue_job_and_maintain_ttl(timeout, max_idle_time=_IDLE_LOOK_S)
             if found is not None:
                 return found
@@ -79,7 +81,9 @@ def main(argv: Sequence[str] = sys.argv) -> int:
     url = jobs.redis_url.get_secret_value()
     reports = Reports(int(argv[2]))
     engine = EngineProcess(plan, settings, jobs.blob_location, reports.tell)
-    slot = Slot(plan, WorkerStore(connect(url), jobs), engine, settings, reports.tell)
+    slot = Slot(
+        plan, WorkerStore(connect(url), jobs), engine, BlobStore(jobs.blob_location), settings, reports.tell
+    )
     SLOT.set(slot)
     ended_early = NEVER_READY
     try:

@@ -12,6 +12,7 @@ from contextvars import ContextVar
 from redis.exceptions import RedisError
 
 from refine_jobs import keys
+from refine_jobs.blobs import BlobStore, BlobStoreFailed
 from refine_jobs.logs import fields_of, log_fields
 from refine_jobs.record import Job
 from refine_jobs.slots import SlotState, SlotStatus
@@ -23,6 +24,7 @@ from ..settings import WorkerSettings
 from .engine_process import EngineProcess
 
 _PULSE_S = keys.SLOT_S / 3
+_BLOBS_PAUSE_S = 5.0  # before the blob store is tried again
 _HANGS_S = 60.0  # without a sign of the thread that does a job; longer than Redis may take to answer or not
 
 log = logging.getLogger(__name__)
@@ -36,10 +38,13 @@ class Slot:
         plan: SlotPlan,
         store: WorkerStore,
         engine: EngineProcess,
+        blobs: BlobStore,
         settings: WorkerSettings,
         report: Callable[[Report], None],
     ) -> None:
         self.plan, self.store, self.engine, self.settings = plan, store, engine, settings
+        self._blobs = blobs
+        self.blobs_failed = False  # in the last job: no other one before they work
         self.report = report
         self.stop_at: float | None = None  # monotonic time by which a running job is given back
         self._state = SlotState.STARTING
@@ -62,6 +67,19 @@ class Slot:
             self._rest()
             self.engine.prepare()
             self._rest()
+
+    def wait_for_blobs(self) -> None:
+        """If the blob store has failed, return once it takes writes: jobs wait in the queue until then."""
+        while self.blobs_failed:
+            self.show(SlotState.STARTING)
+            time.sleep(_BLOBS_PAUSE_S)
+            try:
+                self._blobs.check_writable()
+            except BlobStoreFailed as error:
+                log.warning("no job is taken: %s", error)
+            else:
+                self.blobs_failed = False
+                self._rest()
 
     @contextmanager
     def busy_with(self, job: Job) -> Iterator[None]:

@@ -67,6 +67,7 @@ def _work(slot: Slot, job: Job, attempt: Attempt) -> tuple[Outcome, Callable[[],
     except Cancelled:
         return Outcome.CANCELLED, partial(slot.store.cancelled, job)
     except (Stopped, SystemExit) as stop:
+        log.warning("given back: %s", stop)
         return Outcome.RETURNED, partial(slot.store.give_back, job, str(stop))
     except Lost as lost:
         log.warning("lost: %s", lost)
