@@ -31,7 +31,7 @@ RUN /tools/bin/pip --python /opt/refine/bin/python install --no-deps \
 # The dependencies first, with the project empty: a change of its source installs none of them again.
 COPY constraints.txt pyproject.toml ./
 RUN touch LICENSE README.md && sed -i '/^\[tool.hatch.build.targets.wheel.force-include]/,/^$/d' pyproject.toml && \
-    /tools/bin/pip --python /opt/refine/bin/python install -c constraints.txt '.[service,worker]'
+    /tools/bin/pip --python /opt/refine/bin/python install -c constraints.txt '.[otel,service,worker]'
 COPY --from=wheel /wheels /wheels
 RUN /tools/bin/pip --python /opt/refine/bin/python install --no-deps --force-reinstall /wheels/*.whl && \
     /tools/bin/cyclonedx-py environment --output-file /opt/refine/sbom.cdx.json /opt/refine/bin/python

@@ -25,7 +25,7 @@ FROM tools AS installed
 # The dependencies first, with the project empty: a change of its source installs none of them again.
 COPY constraints.txt pyproject.toml ./
 RUN touch LICENSE README.md && sed -i '/^\[tool.hatch.build.targets.wheel.force-include]/,/^$/d' pyproject.toml && \
-    /tools/bin/pip --python /opt/refine/bin/python install -c constraints.txt '.[service]'
+    /tools/bin/pip --python /opt/refine/bin/python install -c constraints.txt '.[otel,service]'
 COPY --from=wheel /wheels /wheels
 RUN /tools/bin/pip --python /opt/refine/bin/python install --no-deps --force-reinstall /wheels/*.whl && \
     /tools/bin/cyclonedx-py environment --output-file /opt/refine/sbom.cdx.json /opt/refine/bin/python

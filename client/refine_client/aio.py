@@ -22,6 +22,7 @@ from refine_proto.models import (
     RefinementPage,
     Validation,
 )
+from refine_proto.tracing import call_span
 
 from .address import Connection
 from .client import Refined
@@ -68,7 +69,8 @@ class AsyncRefineClient:
     ) -> Refinement:
         """See RefineClient.submit."""
         upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views)
-        return await self._retried(lambda: self._transport.create(upload))
+        with call_span("create refinement"):
+            return await self._retried(lambda: self._transport.create(upload))
 
     async def validate(
         self,

@@ -23,6 +23,7 @@ from refine_proto.models import (
     RefinementPage,
     Validation,
 )
+from refine_proto.tracing import call_span
 
 from .address import Connection
 from .errors import error_of
@@ -101,7 +102,8 @@ class RefineClient:
             OSError: A file cannot be read.
         """
         upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views)
-        return self._retried(lambda: self._transport.create(upload))
+        with call_span("create refinement"):
+            return self._retried(lambda: self._transport.create(upload))
 
     def validate(
         self,

@@ -15,5 +15,6 @@ reaper         lost slots, lost deliveries, old data: put right now and then
 slots          what a slot says of itself
 logs           one JSON object per line, for service and worker
 build          the metric that tells which version runs
+spans          a job's way through the queue, for OpenTelemetry
 health         what readiness and metrics need to know of all processes
 """

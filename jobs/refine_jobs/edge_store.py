@@ -61,6 +61,11 @@ class JobStore:
         self._scripts = Scripts(redis, clock)
         self._durable = Durable(redis) if settings.sync_submissions else None
 
+    @property
+    def queue(self) -> str:
+        """Name of RQ's queue."""
+        return str(self._delivery.queue.name)
+
     async def close(self) -> None:
         """Stop the event feed and close the connections."""
         await self.feed.close()

@@ -37,6 +37,11 @@ class WorkerStore:
         self._clock = clock
         self._scripts = Scripts(redis, clock)
 
+    @property
+    def queue(self) -> str:
+        """Name of RQ's queue."""
+        return str(self._delivery.queue.name)
+
     # ---- a slot ----
 
     def claim(self, job_id: str, slot: str) -> Job | None:

@@ -18,6 +18,7 @@ from refine_proto.errors import RefineError, ServerError
 from refine_proto.formats import MESH, SILHOUETTE
 from refine_proto.models import Artifact, Event, EventType
 from refine_proto.status import STATUS_KEY, from_status
+from refine_proto.tracing import current_traceparent
 from refine_proto.v1 import refine_pb2
 
 from ..address import Connection
@@ -43,8 +44,12 @@ _ERROR_OF_CODE: Mapping[str, type[RefineError]] = {
 
 def metadata(connection: Connection) -> tuple[tuple[str, str], ...]:
     """What goes with a call: its own request id, and the caller's key."""
-    own = ((REQUEST_ID, uuid.uuid4().hex),)
-    return (*own, ("authorization", f"Bearer {connection.api_key}")) if connection.api_key else own
+    own = [(REQUEST_ID, uuid.uuid4().hex)]
+    if connection.api_key:
+        own.append(("authorization", f"Bearer {connection.api_key}"))
+    if traceparent := current_traceparent():
+        own.append(("traceparent", traceparent))
+    return tuple(own)
 
 
 def create(upload: Upload, files: Mapping[str, OpenFile]) -> Iterator[refine_pb2.CreateRefinementRequest]:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 from refine_proto import errors
 from refine_proto.errors import InvalidInput, NotFound, RefineError, ServerError, from_problem
 from refine_proto.models import Artifact, Event, EventType, ProblemDetails
+from refine_proto.tracing import current_traceparent
 
 from ..address import Connection
 from ..errors import ConnectionLost, DownloadCorrupt
@@ -58,6 +59,8 @@ class Request:
         own = {REQUEST_ID: uuid.uuid4().hex, "Accept": "application/json", "Accept-Encoding": "identity"}
         if connection.api_key:
             own["Authorization"] = f"Bearer {connection.api_key}"
+        if traceparent := current_traceparent():
+            own["traceparent"] = traceparent
         return {
             "method": self.method,
             "url": connection.server + self.path,

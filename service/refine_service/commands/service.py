@@ -17,6 +17,7 @@ from refine_jobs.logs import configure_logs
 from refine_jobs.redis_server import check_server, connect
 from refine_jobs.settings import JobSettings
 from refine_proto.commands.ending import BAD_INPUT
+from refine_proto.tracing import tracing
 
 from ..server import run_service
 from ..settings import ServiceSettings
@@ -61,7 +62,8 @@ def service_command(argv: Sequence[str]) -> int:
 
     if arguments.stop_with_stdin:
         threading.Thread(target=_stop_at_end_of_stdin, daemon=True).start()
-    asyncio.run(run_service(settings, jobs, redis_url, listening))
+    with tracing("refine-service"):
+        asyncio.run(run_service(settings, jobs, redis_url, listening))
     return 0
 
 

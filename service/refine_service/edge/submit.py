@@ -20,6 +20,7 @@ from refine_jobs import keys
 from refine_jobs.blobs import Blob
 from refine_jobs.edge_store import Submitted
 from refine_jobs.record import Submission, Task
+from refine_jobs.spans import enqueue_span
 from refine_proto.errors import (
     PayloadTooLarge,
     Unavailable,
@@ -93,20 +94,21 @@ async def submit(
     except BaseException:  # also when the caller has gone
         await asyncio.shield(edge.store.discard_upload(call.job_id))
         raise
-    submitted = await edge.store.submit(
-        Submission(
-            id=call.job_id,
-            owner=call.owner,
-            spec=spec,
-            task=task,
-            mesh=blobs.pop(MESH),
-            silhouette=blobs.pop(SILHOUETTE),
-            more_files=blobs,
-            idempotency_key=idempotency_key,
-            request_id=call.request_id,
-            traceparent=call.traceparent,
+    with enqueue_span(edge.store.queue, call.job_id, call.traceparent) as span:
+        submitted = await edge.store.submit(
+            Submission(
+                id=call.job_id,
+                owner=call.owner,
+                spec=spec,
+                task=task,
+                mesh=blobs.pop(MESH),
+                silhouette=blobs.pop(SILHOUETTE),
+                more_files=blobs,
+                idempotency_key=idempotency_key,
+                request_id=call.request_id,
+                traceparent=span.traceparent or call.traceparent,
+            )
         )
-    )
     call.job_id = submitted.refinement.id
     return submitted
 

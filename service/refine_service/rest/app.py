@@ -20,6 +20,7 @@ def make_app(edge: Edge) -> ASGIApp:
         description="Refines a coarse mesh at test time from its silhouette and camera.",
         docs_url=None,  # page.py: without a CDN
         redoc_url=None,
+        telemetry={"tracing": False},  # middleware.py has a span of each call, refused ones too
     )
     app.state.edge = edge
     for module in (refinements, events, artifacts, health, page):

@@ -9,10 +9,12 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from refine_jobs.logs import fields
+from refine_proto.tracing import Kind, span
 
 from ..edge.call import Call, begin_call
 from ..edge.prometheus import Metrics
 
+_PROBES = ("/livez", "/readyz", "/metrics", "/metrics/installation")  # asked every few seconds: no spans
 log = logging.getLogger(__name__)
 
 
@@ -30,6 +32,21 @@ class HttpCalls:
         headers = Headers(scope=scope)
         call = begin_call(headers)
         exchange = _Exchange(call, receive, send, has_body=_has_body(headers))
+        if scope["path"] in _PROBES:
+            await self._answer(scope, call, exchange)
+            return
+        attributes = {"http.request.method": scope["method"], "url.path": scope["path"]}
+        with span(scope["method"], Kind.SERVER, call.traceparent, attributes) as work:
+            call.traceparent = work.traceparent or call.traceparent
+            try:
+                await self._answer(scope, call, exchange)
+            finally:
+                work.rename(_method(scope))
+                work.set({"http.route": _route(scope), "http.response.status_code": exchange.status or 499})
+                if exchange.status >= 500:
+                    work.fail(str(exchange.status))
+
+    async def _answer(self, scope: Scope, call: Call, exchange: _Exchange) -> None:
         started = time.perf_counter()
         try:
             await self._app(scope, exchange.receive, exchange.send)
@@ -41,8 +58,7 @@ class HttpCalls:
             self._account(scope, call, exchange, time.perf_counter() - started)
 
     def _account(self, scope: Scope, call: Call, exchange: _Exchange, seconds: float) -> None:
-        route = getattr(scope.get("route"), "path", "(none)")  # the pattern: ids would be endless labels
-        method = f"{scope['method']} {route}"
+        method = _method(scope)
         status = str(exchange.status or 499)
         self._metrics.observe("rest", method, status, seconds)
         self._metrics.count_bytes("rest", exchange.received_bytes, exchange.sent_bytes)
@@ -91,6 +107,15 @@ class _Exchange:
         else:
             self.sent_bytes += len(message.get("body", b""))
         await self._send(message)
+
+
+def _route(scope: Scope) -> str:
+    """The pattern: ids would be endless labels."""
+    return getattr(scope.get("route"), "path", "(none)")
+
+
+def _method(scope: Scope) -> str:
+    return f"{scope['method']} {_route(scope)}"
 
 
 def _has_body(headers: Headers) -> bool:

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 import grpc
 
 from refine_jobs.logs import fields
+from refine_proto.tracing import Kind, start_span
 from refine_proto.v1 import refine_pb2
 
 from ..edge.call import begin_call
@@ -22,6 +23,7 @@ from .errors import RpcContext, abort
 SERVICE = refine_pb2.DESCRIPTOR.services_by_name["Refinements"].full_name
 _Unary: TypeAlias = Callable[..., Awaitable[Any]]
 _Stream: TypeAlias = Callable[..., AsyncGenerator[Any, None]]
+_ERRORS_OF_THE_SERVER = ("INTERNAL", "UNAVAILABLE", "DEADLINE_EXCEEDED", "UNKNOWN", "UNIMPLEMENTED")
 log = logging.getLogger(__name__)
 
 
@@ -87,6 +89,9 @@ class RpcCalls(grpc.aio.ServerInterceptor):
         }
         call = begin_call(metadata)
         started, status = time.perf_counter(), "OK"
+        attributes = {"rpc.system": "grpc", "rpc.service": SERVICE, "rpc.method": method}
+        work = start_span(f"{SERVICE}/{method}", Kind.SERVER, call.traceparent, attributes)
+        call.traceparent = work.traceparent or call.traceparent
         try:
             await context.send_initial_metadata((("x-request-id", call.request_id),))
             call.owner = self._edge.auth.owner(metadata.get("authorization"))
@@ -100,6 +105,10 @@ class RpcCalls(grpc.aio.ServerInterceptor):
             await abort(context, told, call.request_id)
         finally:
             seconds = time.perf_counter() - started
+            work.set({"rpc.response.status_code": status})
+            if status in _ERRORS_OF_THE_SERVER:
+                work.fail(status)
+            work.end()
             self._edge.metrics.observe("grpc", method, status, seconds)
             values = fields(method=method, status=status, seconds=round(seconds, 4), owner=call.owner)
             log.info("%s %s", method, status, extra=values)

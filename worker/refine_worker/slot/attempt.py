@@ -11,6 +11,7 @@ from refine_jobs.logs import fields_of
 from refine_jobs.record import Job
 from refine_proto.errors import Cancelled, DeadlineExceeded, Internal, MeshInvalid, RefineError, error_class
 from refine_proto.models import Progress, State
+from refine_proto.tracing import Kind, Span, start_span
 
 from ..messages import Answered, Done, Failed, FromEngine, Phase, PhaseStarted, Progressed, Returned, Run
 from .engine_process import EngineDied
@@ -36,7 +37,9 @@ class Lost(Exception):
 class Attempt:
     """Watches over the engine process while it works on `job`."""
 
-    def __init__(self, slot: Slot, job: Job) -> None:
+    def __init__(self, slot: Slot, job: Job, traceparent: str | None) -> None:
+        self._traceparent = traceparent
+        self._stage_span: Span | None = None
         self._slot, self._job, self._settings = slot, job, slot.settings
         self._started = self._phase_started = self._last_sign = time.monotonic()
         self._read_wall_s = slot.plan.read_limits.wall_s(job.size_bytes)
@@ -111,12 +114,16 @@ class Attempt:
         if isinstance(message, PhaseStarted):
             self._end_stage()
             self._phase, self._phase_started = message.phase, self._last_sign
+            self._stage_span = start_span(message.phase, Kind.INTERNAL, self._traceparent)
         elif isinstance(message, Progressed):
             self._progress = message.progress
 
     def _end_stage(self) -> None:
         if self._begun:
             self.stages[self._phase] = time.monotonic() - self._phase_started
+        if self._stage_span is not None:
+            self._stage_span.end()
+            self._stage_span = None
 
     def _renew(self) -> None:
         """Keep the job, tell its progress, and hear whether it shall stop."""

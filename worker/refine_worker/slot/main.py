@@ -18,6 +18,7 @@ from refine_jobs.logs import configure_logs
 from refine_jobs.redis_server import connect, connect_for_rq
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
+from refine_proto.tracing import tracing
 
 from ..lifeline import stop_with_parent
 from ..plan import NEVER_READY, SlotPlan
@@ -87,17 +88,18 @@ def main(argv: Sequence[str] = sys.argv) -> int:
     SLOT.set(slot)
     ended_early = NEVER_READY
     try:
-        slot.prepare()
-        ended_early = 1
-        print(f"slot {plan.name}: ready on {plan.device}, threads: {plan.threads}", flush=True)
-        rq_connection = connect_for_rq(url)
-        worker = SlotWorker(
-            [worker_queue(rq_connection, jobs.pool)],
-            connection=rq_connection,
-            job_class=SlotJob,
-            serializer=JSONSerializer,
-        )
-        worker.work(logging_level="WARNING")
+        with tracing("refine-worker"):
+            slot.prepare()
+            ended_early = 1
+            print(f"slot {plan.name}: ready on {plan.device}, threads: {plan.threads}", flush=True)
+            rq_connection = connect_for_rq(url)
+            worker = SlotWorker(
+                [worker_queue(rq_connection, jobs.pool)],
+                connection=rq_connection,
+                job_class=SlotJob,
+                serializer=JSONSerializer,
+            )
+            worker.work(logging_level="WARNING")
     except EngineStartFailed as error:
         log.error("%s", error)
         return ended_early

@@ -17,6 +17,7 @@ from redis.exceptions import RedisError
 
 from refine_jobs.logs import fields
 from refine_jobs.record import Job
+from refine_jobs.spans import process_span
 from refine_jobs.worker_store import LeaseLost
 from refine_proto.errors import Cancelled, Internal, RefineError
 
@@ -38,16 +39,19 @@ def run(job_id: str) -> None:
     if job is None:
         log.info("job %s is not queued any more", job_id)
         return
-    with slot.busy_with(job):
+    with slot.busy_with(job), process_span(slot.store.queue, job) as span:
         started = time.monotonic()
         log.info("started")
-        attempt = Attempt(slot, job)
+        attempt = Attempt(slot, job, span.traceparent)
         try:
             outcome, write = _work(slot, job, attempt)
             _persist(slot, write)
         except LeaseLost as error:
             log.warning("%s; its result is dropped", error)
             outcome = Outcome.LOST
+        span.set({"refine.outcome": outcome})
+        if outcome in (Outcome.FAILED, Outcome.LOST):
+            span.fail(outcome)
         slot.report(
             AttemptEnded(outcome=outcome, preset=job.spec["options"]["preset"], stages=attempt.stages)
         )
