@@ -61,10 +61,12 @@ ENV NUMBA_CACHE_DIR=/var/cache/refine/numba \
     PYTHONDONTWRITEBYTECODE=1 \
     PYTHONUNBUFFERED=1 \
     REFINE_DATA_FOLDER=/var/lib/refine \
+    REFINE_WORKER_HOST=0.0.0.0 \
+    REFINE_WORKER_PORT=9000 \
     XDG_CACHE_HOME=/var/cache/refine
 STOPSIGNAL SIGTERM
-# A slot of this container has shown itself in Redis within seconds, and is warm.
-HEALTHCHECK --interval=10s --timeout=10s --start-period=300s CMD ["python", "-c", "import os, redis, socket; server = redis.Redis.from_url(os.environ['REFINE_REDIS_URL']); slots = server.scan_iter('refine:slot:' + socket.gethostname() + '-*'); raise SystemExit(not any(b'starting' not in (server.get(slot) or b'starting') for slot in slots))"]
+EXPOSE 9000
+HEALTHCHECK --interval=10s --timeout=10s --start-period=300s CMD ["refine", "worker", "--check", "ready"]
 ENTRYPOINT ["refine"]
 CMD ["worker"]
 

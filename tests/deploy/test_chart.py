@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import re
 import shutil
-import socket
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +15,9 @@ import pytest
 yaml = pytest.importorskip("yaml")
 
 from refine_client.cli import main  # noqa: E402
-from refine_jobs.embedded import EmbeddedRedis  # noqa: E402
-from refine_jobs.redis_server import connect  # noqa: E402
 from refine_jobs.settings import JobSettings  # noqa: E402
-from refine_jobs.slots import SlotState, SlotStatus  # noqa: E402
-from refine_jobs.worker_store import WorkerStore  # noqa: E402
 from refine_service.settings import ServiceSettings  # noqa: E402
+from refine_worker.port import PROBES  # noqa: E402
 from refine_worker.settings import WorkerSettings  # noqa: E402
 
 CHART = Path(__file__).parents[2] / "deploy/chart/refine"
@@ -31,7 +25,7 @@ PROFILES = [None, *sorted((CHART / "profiles").glob("*.yaml"))]
 OF_OTHERS = {
     *("GRPCRoute", "HTTPRoute"),
     *("ScaledObject", "TriggerAuthentication"),
-    *("ScrapeConfig", "ServiceMonitor"),
+    *("PodMonitor", "ScrapeConfig", "ServiceMonitor"),
 }
 
 
@@ -119,20 +113,24 @@ def test_the_grace_period_is_longer_than_what_a_worker_needs(rendered: str) -> N
     assert pod["terminationGracePeriodSeconds"] >= int(grace) + 15
 
 
-def test_the_readiness_probe_sees_a_warm_slot_of_this_machine(tmp_path: Path) -> None:
-    probe = [sys.executable, "-c", (CHART / "files/worker_ready.py").read_text()]
-    with EmbeddedRedis(tmp_path) as server, connect(server.url) as redis:
-        store = WorkerStore(redis, JobSettings())
-        environment = os.environ | {"REFINE_REDIS_URL": server.url}
-        answers = []
-        for name, state in (
-            ("elsewhere-1", SlotState.IDLE),
-            (f"{socket.gethostname()}-1", SlotState.STARTING),
-            (f"{socket.gethostname()}-1", SlotState.IDLE),
-        ):
-            store.show(SlotStatus(name=name, device="cpu", state=state))
-            answers.append(subprocess.run(probe, env=environment).returncode)
-    assert answers == [1, 1, 0]
+def test_a_worker_is_probed_and_scraped_on_its_port() -> None:
+    found = documents(helm("template", "refine", CHART, "--set", "monitoring.enabled=true"))
+    by_name = {(document["kind"], document["metadata"]["name"]): document for document in found}
+    pod = by_name["Deployment", "refine-worker"]["spec"]["template"]
+    (container,) = pod["spec"]["containers"]
+    environment = {entry["name"]: entry.get("value", "") for entry in container["env"]}
+    (port,) = container["ports"]
+    settings = WorkerSettings.from_environment(environment)
+    assert (settings.worker_host, settings.worker_port) == ("0.0.0.0", port["containerPort"])
+    probes = (container["livenessProbe"], container["readinessProbe"])
+    assert [probe["httpGet"] for probe in probes] == [
+        {"path": path, "port": port["name"]} for path in PROBES.values()
+    ]
+    monitor = by_name["PodMonitor", "refine-worker"]["spec"]
+    assert monitor["selector"]["matchLabels"].items() <= pod["metadata"]["labels"].items()
+    assert [endpoint["port"] for endpoint in monitor["podMetricsEndpoints"]] == [port["name"]]
+    (rule,) = by_name["NetworkPolicy", "refine-worker"]["spec"]["ingress"]
+    assert rule == {"ports": [{"port": port["containerPort"]}]}
 
 
 def test_no_container_may_write_its_root_or_be_root(rendered: str) -> None:

@@ -23,9 +23,11 @@ from refine_proto.models import State
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "examples/samples/chair"
 PANELS = json.loads((ROOT / "deploy/monitoring/dashboard.json").read_text())["panels"]
-EMPTY = {  # what a healthy installation without a limit of memory does not show
+EMPTY = {  # what a healthy installation without a limit of memory and without a card does not show
     '60 * sum by (reason) (rate(refine_jobs_total{state="failed"}[5m])) > 0',
     "max(refine_redis_max_memory_bytes) > 0",
+    "max by (instance, device) (refine_worker_gpu_memory_used_bytes)",
+    "max by (instance, device) (refine_worker_gpu_memory_size_bytes)",
 }
 
 
@@ -58,16 +60,22 @@ def prometheus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Clien
     binary = shutil.which("prometheus")
     if binary is None:
         pytest.skip("prometheus is not on PATH; on Debian: apt-get install prometheus")
-    folder, port = tmp_path_factory.mktemp("prometheus"), free_port()
-    with serve(folder / "served") as served, RefineClient(served.url) as client:
+    folder, port, worker_port = tmp_path_factory.mktemp("prometheus"), free_port(), free_port()
+    settings = {"worker_port": str(worker_port)}
+    with serve(folder / "served", settings) as served, RefineClient(served.url) as client:
         address = urlsplit(served.url).netloc
+        asked_for = {
+            "refine-service": ("/metrics", address),
+            "refine-worker": ("/metrics", f"127.0.0.1:{worker_port}"),
+            "refine-installation": ("/metrics/installation", address),
+        }
         jobs = [
-            {"job_name": path, "metrics_path": path, "static_configs": [{"targets": [address]}]}
-            for path in ("/metrics", "/metrics/installation")
+            {"job_name": name, "metrics_path": path, "static_configs": [{"targets": [target]}]}
+            for name, (path, target) in asked_for.items()
         ]
         rules = str(ROOT / "deploy/monitoring/rules.yaml")
-        settings = {"global": {"scrape_interval": "1s"}, "scrape_configs": jobs, "rule_files": [rules]}
-        (folder / "prometheus.json").write_text(json.dumps(settings))  # JSON is YAML
+        scraping = {"global": {"scrape_interval": "1s"}, "scrape_configs": jobs, "rule_files": [rules]}
+        (folder / "prometheus.json").write_text(json.dumps(scraping))  # JSON is YAML
         with (folder / "log").open("w") as log:
             options = (
                 f"--config.file={folder}/prometheus.json --storage.tsdb.path={folder}/data "
@@ -76,7 +84,8 @@ def prometheus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Clien
             process = subprocess.Popen([binary, *options.split()], stdout=log, stderr=log)
         try:
             with httpx.Client(base_url=f"http://127.0.0.1:{port}/api/v1", timeout=30) as asked:
-                wait_for_sample(asked, "rate(refine_jobs_total[5m])")  # before the job, or it is no increase
+                for counter in ("refine_jobs_total", "refine_worker_attempts_total"):
+                    wait_for_sample(asked, f"rate({counter}[5m])")  # before the job, or it is no increase
                 sent = client.submit(
                     SAMPLE / "coarse.obj",
                     SAMPLE / "silhouette.png",
@@ -84,7 +93,9 @@ def prometheus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Clien
                     {"iterations": 10},
                 )
                 assert client.wait(sent.id, timeout_s=300).state is State.SUCCEEDED
-                wait_for_sample(asked, "increase(refine_jobs_total[5m]) > 0")
+                for counter in ("refine_jobs_total", "refine_worker_attempts_total"):
+                    wait_for_sample(asked, f"increase({counter}[5m]) > 0")
+                wait_for_sample(asked, "rate(refine_worker_stage_seconds_bucket[5m])")
                 yield asked
         finally:
             process.terminate()

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import signal
+import socket
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import pytest
-from service_process import run_service
-
-from refine_jobs.embedded import EmbeddedRedis
+from serve_process import serve
 
 MONITORING = Path(__file__).parents[2] / "deploy/monitoring"
 INSTALLATION = "/metrics/installation"
@@ -21,14 +21,18 @@ ALERTS = re.findall(r"alert: (\w+)", RULES)
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, set[str]]]:
-    """What a real service shows, and the names in it."""
-    folder = tmp_path_factory.mktemp("monitored")
-    with EmbeddedRedis(folder / "redis") as redis, run_service(redis.url, folder / "service") as service:
-        with service.rest() as rest:
-            rest.get("/v1/refinements")
-            text = "".join(rest.get(path).raise_for_status().text for path in ("/metrics", INSTALLATION))
-        yield text, set(re.findall(r"^# TYPE (\w+)", text, re.MULTILINE))
+def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], set[str]]:
+    """What a real service and a real worker show, and the names in it."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with serve(tmp_path_factory.mktemp("monitored"), {"worker_port": str(port)}) as served:
+        httpx.get(f"{served.url}/v1/refinements").raise_for_status()
+        pages = [f"{served.url}/metrics", f"{served.url}{INSTALLATION}", f"http://127.0.0.1:{port}/metrics"]
+        texts = [httpx.get(page).raise_for_status().text for page in pages]
+        served.process.send_signal(signal.SIGINT)  # so that its Redis ends too
+        served.process.wait(90)
+    return texts, {name for text in texts for name in re.findall(r"^# TYPE (\w+)", text, re.MULTILINE)}
 
 
 def promtool(*words: str | Path, given: str = "") -> None:
@@ -54,7 +58,7 @@ def test_an_alert_has_a_test_and_a_page(alert: str) -> None:
     assert f"\n## {alert}\n" in (MONITORING.parent / "runbook.md").read_text()
 
 
-def test_every_metric_that_is_asked_for_exists(exported: tuple[str, set[str]]) -> None:
+def test_every_metric_that_is_asked_for_exists(exported: tuple[list[str], set[str]]) -> None:
     dashboard = json.loads((MONITORING / "dashboard.json").read_text())
     queries = [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
     asked = set(
@@ -66,6 +70,7 @@ def test_every_metric_that_is_asked_for_exists(exported: tuple[str, set[str]]) -
     assert plain - names == set()
 
 
-def test_the_exposition_is_clean(exported: tuple[str, set[str]]) -> None:
-    text, _ = exported
-    promtool("check", "metrics", given=text)
+def test_the_exposition_is_clean(exported: tuple[list[str], set[str]]) -> None:
+    texts, _ = exported
+    for text in texts:
+        promtool("check", "metrics", given=text)

@@ -166,7 +166,7 @@ def test_every_variable_of_it_stands_in_the_example() -> None:
     assert sorted(name for name in used - told if not name.endswith("_IMAGE")) == []
 
 
-def test_prometheus_asks_services_of_it_on_their_ports() -> None:
+def test_prometheus_asks_services_and_workers_of_it_on_their_ports() -> None:
     scraped = yaml.safe_load((FOLDER / "prometheus.yaml").read_text())["scrape_configs"]
     asked = {
         (host, str(discovery["port"]))
@@ -180,4 +180,18 @@ def test_prometheus_asks_services_of_it_on_their_ports() -> None:
         for static in job.get("static_configs", [])
         for target in static["targets"]
     }
-    assert asked == {("service", SERVICES["service"]["environment"]["REFINE_HTTP_PORT"])}
+    http_port = SERVICES["service"]["environment"]["REFINE_HTTP_PORT"]
+    workers = [
+        name for name, service in SERVICES.items() if "REFINE_WORKER_PORT" in service.get("environment", {})
+    ]
+    worker_ports = {(name, SERVICES[name]["environment"]["REFINE_WORKER_PORT"]) for name in workers}
+    assert {name for name, _ in worker_ports} == {"worker", "worker-gpu"}
+    assert asked == {("service", http_port), *worker_ports}
+
+
+def test_a_container_is_healthy_by_the_port_on_which_its_worker_answers() -> None:
+    text = (FOLDER / "worker.Dockerfile").read_text()
+    assert '["refine", "worker", "--check", "ready"]' in text
+    (port,) = re.findall(r"^EXPOSE (\d+)$", text, re.MULTILINE)
+    assert re.findall(r"REFINE_WORKER_PORT=(\d+)", text) == [port]
+    assert SERVICES["worker"]["environment"]["REFINE_WORKER_PORT"] == port
