@@ -16,10 +16,10 @@ from torch import Tensor
 
 from refine_engine.cameras.seen import mean_silhouette_iou
 from refine_engine.method.config import RefineConfig, Weights
-from refine_engine.method.loop import refine
 from refine_engine.method.outcome import State, keep
 from refine_engine.method.presets import PRESETS
 from refine_engine.method.whole_mesh import fit_whole_mesh
+from refine_engine.proxy.run import refine_any_size
 from refine_engine.values import Camera, Mesh
 
 from . import baselines
@@ -116,7 +116,7 @@ def told(config: RefineConfig, case: Case) -> RefineConfig:
 
 def _engine(config: RefineConfig) -> Method:
     def method(case: Case, scene: Scene, seed: int) -> Outcome:
-        result = refine(scene.coarse, [scene.view], replace(told(config, case), seed=seed))
+        result = refine_any_size(scene.coarse, [scene.view], replace(told(config, case), seed=seed))
         curve = result.loss_curve.get("total", ())  # none of a mesh that is returned as it came
         return Outcome(result.mesh, result.seconds, result.confidence, result.plane, tuple(curve))
 

@@ -19,7 +19,7 @@ from .files.limits import MeshLimits
 from .files.mesh_file import MeshFile, read_mesh
 from .files.silhouette import read_silhouette
 from .method.config import RefineConfig
-from .method.loop import refine
+from .proxy.run import refine_any_size
 from .values import Progress, Result, View
 
 POOR_IOU = 0.5  # a result that agrees less was hardly meant
@@ -50,11 +50,11 @@ class Inputs:
         report: Callable[[Progress], None] | None = None,
         cancelled: Callable[[], bool] | None = None,
     ) -> Result:
-        """`refine` on `device`; the result lies there and carries these warnings before its own."""
+        """`refine_any_size` on `device`; the result lies there and carries these warnings before its own."""
         mesh, views = self.mesh_file.mesh.to(device), [view.to(device) for view in self.views]
         if self.mesh_file.textured and config.topology == "auto":
             config = replace(config, topology="fixed")  # a hole would show in the texture
-        result = refine(mesh, views, config, report, cancelled)
+        result = refine_any_size(mesh, views, config, report, cancelled)
         return replace(result, warnings=(*self.warnings, *result.warnings, *_about_the_result(result)))
 
 

@@ -229,6 +229,15 @@ class Progress:
 
 
 @dataclass(frozen=True)
+class Proxy:
+    """The small mesh that was optimised instead of one with many vertices."""
+
+    vertices: int
+    faces: int
+    silhouette_iou_after: float  # of itself, refined
+
+
+@dataclass(frozen=True)
 class Result:
     """What `refine` returns, in the world units of the input mesh."""
 
@@ -247,3 +256,4 @@ class Result:
     )  # by which the cameras were turned about the object; None: they were not
     seconds: float
     warnings: tuple[str, ...] = ()
+    proxy: Proxy | None = None  # None: the input itself was optimised
