@@ -7,6 +7,7 @@ Values are those of `refine_proto.models`, errors those of `refine_proto.errors`
 """
 
 from refine_proto.camera_files import read_camera_file
+from refine_proto.webhook_messages import WebhookInvalid, WebhookMessage, verify_webhook
 
 from .aio import AsyncRefineClient
 from .client import RefineClient, Refined
@@ -22,5 +23,8 @@ __all__ = [
     "Refined",
     "RetryPolicy",
     "View",
+    "WebhookInvalid",
+    "WebhookMessage",
     "read_camera_file",
+    "verify_webhook",
 ]

@@ -21,6 +21,7 @@ from refine_proto.models import (
     RefinementOptions,
     RefinementPage,
     Validation,
+    Webhook,
 )
 from refine_proto.tracing import call_span
 
@@ -65,10 +66,13 @@ class AsyncRefineClient:
         ignore: Source | None = None,
         views: Sequence[View] = (),
         mesh_format: MeshFormat | str | None = None,
+        webhook: Webhook | Mapping[str, Any] | None = None,
         idempotency_key: str | None = None,
     ) -> Refinement:
         """See RefineClient.submit."""
-        upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views)
+        upload = make_upload(
+            mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views, webhook
+        )
         with call_span("create refinement"):
             return await self._retried(lambda: self._transport.create(upload))
 

@@ -22,6 +22,7 @@ from refine_proto.models import (
     RefinementOptions,
     RefinementPage,
     Validation,
+    Webhook,
 )
 from refine_proto.tracing import call_span
 
@@ -82,6 +83,7 @@ class RefineClient:
         ignore: Source | None = None,
         views: Sequence[View] = (),
         mesh_format: MeshFormat | str | None = None,
+        webhook: Webhook | Mapping[str, Any] | None = None,
         idempotency_key: str | None = None,
     ) -> Refinement:
         """Send a refinement and return it as soon as it is queued.
@@ -95,13 +97,17 @@ class RefineClient:
             ignore: An image of the silhouette's size: where it shows an object, nothing is known.
             views: Further views of the same object.
             mesh_format: Default: the suffix of the path, else the server recognises the content.
+            webhook: A Webhook or a mapping with the `url` that is told of the end; there, `verify_webhook`
+                reads what comes.
             idempotency_key: Sending the same key and content again gives the first refinement again. Default:
                 a new one, which the retries of this call share.
 
         Raises:
             OSError: A file cannot be read.
         """
-        upload = make_upload(mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views)
+        upload = make_upload(
+            mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views, webhook
+        )
         with call_span("create refinement"):
             return self._retried(lambda: self._transport.create(upload))
 

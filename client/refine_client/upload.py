@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from refine_proto.errors import check_idempotency_key, from_validation
 from refine_proto.formats import IGNORE, MESH, SILHOUETTE, format_of_name, of_view
-from refine_proto.models import CameraSpec, MeshFormat, RefinementOptions, RefinementSpec
+from refine_proto.models import CameraSpec, MeshFormat, RefinementOptions, RefinementSpec, Webhook
 
 CHUNK_BYTES = 64 * 1024
 Source = bytes | str | os.PathLike[str]
@@ -65,6 +65,7 @@ def make_upload(
     idempotency_key: str | None = None,
     ignore: Source | None = None,
     views: Sequence[View] = (),
+    webhook: Webhook | Mapping[str, Any] | None = None,
 ) -> Upload:
     """Check everything but the files; InvalidInput, the server's errors, if something is wrong."""
     if mesh_format is None and not isinstance(mesh, bytes):
@@ -76,6 +77,7 @@ def make_upload(
                 "options": options or RefinementOptions(),
                 "mesh_format": mesh_format,
                 "views": [{"camera": view.camera} for view in views],
+                "webhook": webhook,
             }
         )
     except ValidationError as error:

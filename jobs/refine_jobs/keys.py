@@ -22,6 +22,8 @@ EXPIRY = "refine:expiry"  # sorted set of ended ids by the time their data goes
 UPLOADS = "refine:uploads"  # sorted set of ids whose blobs are being written, by start
 TRASH = "refine:trash"  # set of ids whose blobs are to be deleted
 MISSING = "refine:missing"  # hash queued id -> when it was first not found in RQ
+OUTBOX = "refine:outbox"  # sorted set of ids of webhooks to deliver by the time of their next attempt
+WEBHOOK = "refine:webhook:"  # + id: hash, a webhook in OUTBOX (webhook_outbox.py)
 METRICS = "refine:metrics"  # hash of counters and histograms written by lua/common.lua
 SLOT = "refine:slot:"  # + name: hash, what a worker slot is doing; expires SLOT_S after its last sign of life
 SLOTS = "refine:slots"  # sorted set of slot names by expiry
@@ -54,6 +56,8 @@ def lua_constants() -> str:
         "UPLOADS": UPLOADS,
         "TRASH": TRASH,
         "MISSING": MISSING,
+        "OUTBOX": OUTBOX,
+        "WEBHOOK": WEBHOOK,
         "METRICS": METRICS,
         "DOORBELL": DOORBELL,
         "EVENTS_KEPT": EVENTS_KEPT,

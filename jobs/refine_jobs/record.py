@@ -25,12 +25,14 @@ from refine_proto.models import (
     RefinementSpec,
     SilhouetteIou,
     State,
+    WebhookDelivery,
 )
 
 from .blobs import Blob
 
 _OF_RESULT = ("silhouette_iou", "warnings", "mirror_plane", "camera_correction", "checks", "answer")
-_JSON = ("spec", "mesh", "silhouette", "more_files", "progress", "error", "artifacts", *_OF_RESULT)
+_OF_EDGE = ("spec", "mesh", "silhouette", "more_files", "webhook_deliveries")
+_JSON = (*_OF_EDGE, "progress", "error", "artifacts", *_OF_RESULT)
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
 _TIMES = ("created_ms", "started_ms", "finished_ms", "expires_ms")
 
@@ -90,6 +92,7 @@ class Job(BaseModel):
     camera_correction: CameraCorrection | None = None
     checks: tuple[Finding, ...] = ()
     answer: Mapping[str, Any] | None = None  # to a question
+    webhook_deliveries: tuple[WebhookDelivery, ...] = ()
     request_id: str | None = None
     traceparent: str | None = None
     sequence: int = 0  # of its last event
@@ -148,6 +151,7 @@ class Job(BaseModel):
             warnings=list(self.warnings),
             mirror_plane=self.mirror_plane,
             camera_correction=self.camera_correction,
+            webhook_deliveries=list(self.webhook_deliveries),
         )
 
 

@@ -31,6 +31,9 @@ from .formats import MAX_VIEWS, SILHOUETTE_THRESHOLD
 from .formats import MeshFormat as MeshFormat
 from .open_enum import OpenEnum, of_newer_version
 from .strict import Input, Number, Positive
+from .webhooks import Webhook as Webhook
+from .webhooks import WebhookDelivery as WebhookDelivery
+from .webhooks import WebhookEvent as WebhookEvent
 
 # ---- what a caller sends ----
 
@@ -158,6 +161,7 @@ class RefinementSpec(Input):
         max_length=MAX_VIEWS - 1,
         description="Further views, in the order of their files silhouette_2, silhouette_3, ...",
     )
+    webhook: Webhook | None = Field(None, description="Who is told of the end.")
 
     @model_validator(mode="after")
     def _one_projection(self) -> Self:
@@ -338,6 +342,7 @@ class Refinement(Output):
         None, description="The one that was used; unset: none was, or there is no result."
     )
     camera_correction: CameraCorrection | None = Field(None, description="With `correct_camera` only.")
+    webhook_deliveries: list[WebhookDelivery] = Field([], description="Attempts so far, oldest first.")
 
     @field_validator("options", mode="before")
     @classmethod

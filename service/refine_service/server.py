@@ -18,6 +18,7 @@ import uvicorn
 from refine_jobs.settings import JobSettings
 
 from .edge.edge import Edge, open_edge
+from .edge.webhooks import deliver_webhooks
 from .rest.app import make_app
 from .rpc.server import RpcServer, url_host
 from .settings import ServiceSettings
@@ -46,6 +47,7 @@ async def _serve(
     http = _HttpServer(edge)
     serving = asyncio.create_task(http.serve([listener]))
     health = asyncio.create_task(rpc.show_health())
+    webhooks = asyncio.create_task(deliver_webhooks(edge))
     while not http.started and not serving.done():
         await asyncio.sleep(0.01)
     host = url_host(edge.settings.host)
@@ -53,7 +55,7 @@ async def _serve(
     await asyncio.wait({serving, edge.draining}, return_when=asyncio.FIRST_COMPLETED)
     log.info("draining")
     health.cancel()
-    await asyncio.gather(rpc.stop(edge.settings.grace_s), serving)
+    await asyncio.gather(rpc.stop(edge.settings.grace_s), serving, webhooks)
     log.info("stopped")
 
 

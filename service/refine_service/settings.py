@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import ipaddress
 from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from refine_jobs.settings import EnvironmentSettings
 
 _MIB = 2**20
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+
+def _split(value: Any) -> Any:
+    return [word.strip() for word in value.split(",")] if isinstance(value, str) else value
 
 
 class ServiceSettings(EnvironmentSettings):
@@ -33,6 +39,9 @@ class ServiceSettings(EnvironmentSettings):
     upload_timeout_s: float = Field(300, gt=0, description="Longest time that one upload may take.")
     answer_timeout_s: float = Field(
         20, gt=0, description="How long a call waits for a worker slot that answers a question."
+    )
+    reachable_networks: Annotated[tuple[Network, ...], BeforeValidator(_split)] = Field(
+        (), description="Private networks that webhooks may reach, also over http: 10.1.0.0/16,127.0.0.1"
     )
     grace_s: float = Field(20, gt=0, description="From SIGTERM until calls that still run are cut off.")
     grpc_reflection: bool = Field(False, description="Let gRPC clients list services and messages.")

@@ -76,7 +76,8 @@ def _same_shape(model: type[BaseModel], field: FieldDescriptor) -> None:
     assert (value.get("type") == "array") == (field.is_repeated and not is_map), where
     if field.enum_type is not None:
         wire = [v.name.lower() for v in field.enum_type.values if v.number]
-        assert wire == value["enum"], where
+        one = _resolve(value["items"], schema) if "items" in value else value
+        assert wire == one["enum"], where
 
 
 def _resolve(schema: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
@@ -146,6 +147,10 @@ def a_refinement() -> models.Refinement:
         attempt=1,
         checks=[a_finding()],
         urls=models.RefinementUrls(refinement="/a", events="/b", cancel="/c"),
+        webhook_deliveries=[
+            models.WebhookDelivery(attempt=1, time=now, status=503, error="e", next_attempt_at=now),
+            models.WebhookDelivery(attempt=2, time=now, status=204),
+        ],
     )
 
 
@@ -180,7 +185,8 @@ CAMERAS: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_a_spec_survives_the_wire(camera: dict[str, Any]) -> None:
-    spec = models.RefinementSpec.model_validate({"camera": camera, "mesh_format": "glb"})
+    webhook = {"url": "https://example.com/hook", "events": ["failed", "cancelled"]}
+    spec = models.RefinementSpec.model_validate({"camera": camera, "mesh_format": "glb", "webhook": webhook})
     message = to_message(spec, pb.RefinementSpec)
     assert message.camera.WhichOneof("type") == camera["type"]
     assert to_model(message, models.RefinementSpec) == spec

@@ -110,7 +110,9 @@ class _Handler(BaseHTTPRequestHandler):
             content = content[: -len(b"\r\n")]
             found[name] = content if b"filename=" in head else content.decode()
         return found | {
-            name: json.loads(found[name]) for name in ("camera", "options", "views") if name in found
+            name: json.loads(found[name])
+            for name in ("camera", "options", "views", "webhook")
+            if name in found
         }
 
     def log_message(self, *arguments: Any) -> None:

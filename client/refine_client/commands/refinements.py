@@ -129,12 +129,21 @@ def _show(refinement: Refinement, as_json: bool) -> None:
         "mirror": plane and f"{_numbers(plane.normal)} . x = {plane.offset:.4g}",
         "camera": turn and f"turned by {turn.turn_degrees:.1f} degrees",
         "warnings": "\n           ".join(refinement.warnings),
+        "webhook": _deliveries(refinement),
         "created": refinement.created_at.isoformat(timespec="seconds"),
         "finished": refinement.finished_at and refinement.finished_at.isoformat(timespec="seconds"),
         "expires": refinement.expires_at.isoformat(timespec="seconds"),
         "artifacts": ", ".join(artifact.name for artifact in refinement.artifacts),
     }
     print("\n".join(f"{name:<10} {value}" for name, value in rows.items() if value))
+
+
+def _deliveries(refinement: Refinement) -> str:
+    return "\n           ".join(
+        f"attempt {delivery.attempt} at {delivery.time.isoformat(timespec='seconds')}: "
+        + (delivery.error or f"delivered ({delivery.status})")
+        for delivery in refinement.webhook_deliveries
+    )
 
 
 def _numbers(values: Iterable[float]) -> str:

@@ -10,7 +10,8 @@ from pathlib import Path
 from refine_proto.camera_files import read_camera_file
 from refine_proto.commands.ending import Parser
 from refine_proto.commands.options import add_options, add_views, read_options, read_views
-from refine_proto.models import MeshFormat
+from refine_proto.errors import InvalidInput
+from refine_proto.models import MeshFormat, WebhookEvent
 
 from ..upload import View
 from .server_command import command, connect, make_parser
@@ -43,6 +44,7 @@ def submit_command(argv: Sequence[str]) -> None:
             ignore=first.ignore,
             views=further,
             mesh_format=arguments.mesh_format,
+            webhook=_webhook(arguments),
             idempotency_key=arguments.idempotency_key,
         )
         if not arguments.wait and arguments.output is None:
@@ -66,6 +68,15 @@ def read_view_files(arguments: argparse.Namespace) -> list[View]:
     ]
 
 
+def _webhook(arguments: argparse.Namespace) -> dict[str, object] | None:
+    if arguments.webhook is None:
+        if arguments.webhook_events:
+            raise InvalidInput("expected --webhook URL with --webhook-event, got none")
+        return None
+    events = {"events": arguments.webhook_events} if arguments.webhook_events else {}
+    return {"url": arguments.webhook, **events}
+
+
 def submit_parser() -> Parser:
     """The arguments of `refine submit`."""
     parser = make_parser(
@@ -77,6 +88,12 @@ def submit_parser() -> Parser:
     parser.add_argument(
         "--idempotency-key", metavar="KEY", help="the same key and content give the same refinement"
     )
+    parser.add_argument("--webhook", metavar="URL", help="https address that is told of the end")
+    parser.add_argument(
+        "--webhook-event", dest="webhook_events", action="append", choices=list(WebhookEvent),
+        metavar="EVENT",
+        help=f"which ends it is told: {', '.join(WebhookEvent)}, as often as there are any (all)",
+    )  # fmt: skip
     add_options(parser).add_argument(
         "--timeout-s", type=float, metavar="S", help="longest running time (the server's)"
     )

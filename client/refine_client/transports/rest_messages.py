@@ -80,7 +80,7 @@ def validate() -> Request:
 def parts(upload: Upload, files: Mapping[str, OpenFile]) -> list[Part]:
     """The multipart body: what is small first, so that a server can refuse before the files come."""
     spec = upload.spec.model_dump(mode="json", exclude_none=True)
-    names = ("camera", "options", "views") if upload.spec.views else ("camera", "options")
+    names = [name for name in ("camera", "options", "views", "webhook") if spec.get(name)]
     fields = [(name, (None, json.dumps(spec[name]), "application/json")) for name in names]
     if upload.spec.mesh_format is not None:
         fields.append(("mesh_format", (None, str(upload.spec.mesh_format), "text/plain")))

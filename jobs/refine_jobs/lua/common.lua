@@ -77,6 +77,23 @@ local function holds(id, attempt)
   return field(id, 'attempt') == attempt and is_held(field(id, 'state'))
 end
 
+-- The webhook of a job that ends in this state goes to the outbox: with the state or not at all.
+local function post(id, state)
+  local webhook = cjson.decode(field(id, 'spec')).webhook
+  for _, event in ipairs(webhook and webhook.events or {}) do
+    if event == state then
+      redis.call('HSET', WEBHOOK .. id, 'id', id, 'owner', field(id, 'owner'), 'url', webhook.url,
+        'state', state, 'ended_ms', NOW, 'attempt', 0)
+      redis.call('ZADD', OUTBOX, NOW, id)
+    end
+  end
+end
+
+local function drop_webhook(id)
+  redis.call('ZREM', OUTBOX, id)
+  redis.call('DEL', WEBHOOK .. id)
+end
+
 local function end_job(id, state, reason, retention_ms)
   local started = field(id, 'started_ms')
   if started then
@@ -89,6 +106,7 @@ local function end_job(id, state, reason, retention_ms)
   redis.call('HSET', JOB .. id, 'state', state, 'finished_ms', NOW, 'expires_ms', expires)
   redis.call('ZADD', EXPIRY, expires, id)
   emit(id, 'completed', state)
+  post(id, state)
 end
 
 -- Remove everything but the record: the caller deletes it or makes it a tombstone.

@@ -10,5 +10,6 @@ if state ~= 'queued' and not has_ended(state) then
 end
 clear(id)
 redis.call('DEL', JOB .. id)
+drop_webhook(id)
 run_commands(2)
 return 'deleted'

@@ -1,10 +1,11 @@
-"""`refine keys`: make, show and revoke API keys."""
+"""`refine keys`: make, show and revoke API keys, and the secrets that sign webhooks."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Sequence
+from datetime import timedelta
 
 from refine_jobs.settings import JobSettings
 from refine_proto.commands.ending import FAILED
@@ -20,6 +21,11 @@ def keys_parser() -> argparse.ArgumentParser:
     parser.add_argument("--keys-file", metavar="FILE", help="unset: keys.json in the data folder")
     actions = parser.add_subparsers(dest="action", required=True)
     actions.add_parser("add", help="make a key").add_argument("owner", help="whose jobs it reaches")
+    secret = actions.add_parser("webhook-secret", help="make a secret that signs the webhooks of an owner")
+    secret.add_argument("owner", help="whose jobs")
+    secret.add_argument(
+        "--overlap-hours", type=float, default=24.0, metavar="H", help="earlier ones sign beside it for (24)"
+    )
     actions.add_parser("list", help="show ids, owners and dates")
     actions.add_parser("revoke", help="refuse a key from now on").add_argument("id", help="as shown by list")
     return parser
@@ -36,6 +42,8 @@ def keys_command(argv: Sequence[str]) -> int:
         key, secret = keys.add(arguments.owner)
         print(secret)
         print(f"key {key.id} of {key.owner}; it is not shown again", file=sys.stderr)
+    elif arguments.action == "webhook-secret":
+        print(keys.add_webhook_secret(arguments.owner, timedelta(hours=arguments.overlap_hours)))
     elif arguments.action == "list":
         for key in keys.all():
             print(f"{key.id}  {key.created_at:%Y-%m-%d %H:%M}  {key.owner}")

@@ -2,7 +2,8 @@
 
 Keys live in a file, not in Redis: `refine keys` works before anything runs, sign-in does not depend on Redis,
 who can write jobs cannot make keys, and several services share the file as a mounted secret. A key has 256
-random bits, so one SHA-256 protects it; the file holds nothing that signs in.
+random bits, so one SHA-256 protects it; the file holds nothing that signs in. The secrets that sign webhooks
+are in it as they are.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from refine_proto.errors import QuotaExceeded, Unauthenticated
+from refine_proto.webhook_messages import new_secret
 
+OWNER = r"^[A-Za-z0-9._@-]{1,64}$"
 ANONYMOUS = "anonymous"  # the owner of what is submitted without a key
 _BURST_S = 2.0  # a key that was quiet may make the calls of this long at once
 
@@ -32,13 +35,29 @@ class ApiKey(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     id: str
-    owner: str = Field(pattern=r"^[A-Za-z0-9._@-]{1,64}$")
+    owner: str = Field(pattern=OWNER)
     sha256: str
     created_at: datetime
 
 
+class WebhookSecret(BaseModel):
+    """A secret that signs an owner's webhooks. Several may, so that receivers can change over in between."""
+
+    model_config = ConfigDict(frozen=True)
+
+    owner: str = Field(pattern=OWNER)
+    secret: str
+    created_at: datetime
+    until: datetime | None = None  # unset: the newest
+
+    def signs(self, now: datetime) -> bool:
+        """Whether it still does."""
+        return self.until is None or now < self.until
+
+
 class _File(BaseModel):
     keys: list[ApiKey] = []
+    webhook_secrets: list[WebhookSecret] = []
 
 
 class KeysFileInvalid(Exception):
@@ -52,13 +71,17 @@ class ApiKeys:
         self._path = path
         self._version: tuple[int, int, int] | None = None
         self._owners: dict[str, str] = {}  # by sha256
+        self._webhook_secrets: list[WebhookSecret] = []
 
     def all(self) -> list[ApiKey]:
         """Every key, oldest first."""
+        return self._read().keys
+
+    def _read(self) -> _File:
         try:
-            return _File.model_validate_json(self._path.read_bytes()).keys
+            return _File.model_validate_json(self._path.read_bytes())
         except FileNotFoundError:
-            return []
+            return _File()
         except ValidationError as error:
             raise KeysFileInvalid(
                 f"expected a file written by `refine keys`, {self._path}: {error}"
@@ -70,16 +93,40 @@ class ApiKeys:
         digest = _sha256(secret)
         key = ApiKey(id=digest[:12], owner=owner, sha256=digest, created_at=datetime.now(UTC))
         with self._locked():
-            self._write([*self.all(), key])
+            file = self._read()
+            self._write(file.model_copy(update={"keys": [*file.keys, key]}))
         return key, secret
 
     def revoke(self, key_id: str) -> bool:
         """Whether there was a key with this id; running services refuse it from now on."""
         with self._locked():
-            before = self.all()
-            kept = [key for key in before if key.id != key_id]
-            self._write(kept)
-        return len(kept) < len(before)
+            file = self._read()
+            kept = [key for key in file.keys if key.id != key_id]
+            self._write(file.model_copy(update={"keys": kept}))
+        return len(kept) < len(file.keys)
+
+    def add_webhook_secret(self, owner: str, overlap: timedelta) -> str:
+        """A new secret of `owner`, whose earlier ones sign beside it for `overlap` more."""
+        now = datetime.now(UTC)
+        new = WebhookSecret(owner=owner, secret=new_secret(), created_at=now)
+        with self._locked():
+            file = self._read()
+            kept = [
+                old.model_copy(update={"until": min(old.until or now + overlap, now + overlap)})
+                if old.owner == owner
+                else old
+                for old in file.webhook_secrets
+                if old.signs(now)
+            ]
+            self._write(file.model_copy(update={"webhook_secrets": [*kept, new]}))
+        return new.secret
+
+    def webhook_secrets(self, owner: str) -> list[str]:
+        """What signs the owner's webhooks now, newest first."""
+        self._refresh()
+        now = datetime.now(UTC)
+        found = [each.secret for each in self._webhook_secrets if each.owner == owner and each.signs(now)]
+        return found[::-1]
 
     def owner_of(self, secret: str) -> str | None:
         """The owner of a key, or None."""
@@ -90,11 +137,13 @@ class ApiKeys:
         try:
             stat = self._path.stat()
         except FileNotFoundError:
-            self._version, self._owners = None, {}
+            self._version, self._owners, self._webhook_secrets = None, {}, []
             return
         version = (stat.st_mtime_ns, stat.st_size, stat.st_ino)
         if version != self._version:
-            self._owners = {key.sha256: key.owner for key in self.all()}
+            file = self._read()
+            self._owners = {key.sha256: key.owner for key in file.keys}
+            self._webhook_secrets = file.webhook_secrets
             self._version = version
 
     @contextmanager
@@ -104,9 +153,9 @@ class ApiKeys:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
 
-    def _write(self, keys: list[ApiKey]) -> None:
+    def _write(self, content: _File) -> None:
         with tempfile.NamedTemporaryFile("w", dir=self._path.parent, delete=False) as file:  # mode 0600
-            file.write(_File(keys=keys).model_dump_json(indent=2))
+            file.write(content.model_dump_json(indent=2))
         os.replace(file.name, self._path)
 
 
@@ -152,6 +201,10 @@ class Auth:
             raise Unauthenticated("expected a valid API key, got an unknown or revoked one")
         self._rate.take(owner)
         return owner
+
+    def webhook_secrets(self, owner: str) -> list[str]:
+        """What signs the owner's webhooks, newest first; none: the owner cannot have any."""
+        return self._keys.webhook_secrets(owner)
 
 
 def _sha256(secret: str) -> str:

@@ -8,16 +8,20 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
+import httpx
+
 from refine_jobs.blobs import BlobStore
 from refine_jobs.edge_store import JobStore
 from refine_jobs.health import Health
 from refine_jobs.redis_server import connect_async
 from refine_jobs.settings import JobSettings
+from refine_jobs.webhook_outbox import WebhookOutbox
 from refine_proto.errors import Draining, RefineError, Unavailable
 from refine_proto.models import Refinement, RefinementUrls
 
 from ..settings import ServiceSettings
 from .auth import ApiKeys, Auth, CallRate
+from .outgoing import Outgoing
 from .prometheus import Metrics
 
 COLLECTION = "/v1/refinements"
@@ -32,6 +36,8 @@ class Edge:
 
     settings: ServiceSettings
     store: JobStore
+    outbox: WebhookOutbox
+    outgoing: Outgoing
     blobs: BlobStore
     health: Health
     auth: Auth
@@ -74,6 +80,8 @@ async def open_edge(settings: ServiceSettings, jobs: JobSettings, redis_url: str
         yield Edge(
             settings=settings,
             store=store,
+            outbox=WebhookOutbox(redis),
+            outgoing=Outgoing(settings.reachable_networks, httpx.create_ssl_context()),
             blobs=BlobStore(jobs.blob_location),
             health=Health(redis),
             auth=Auth(keys, CallRate(settings.requests_per_s), settings.key_required),

@@ -35,6 +35,7 @@ from ..settings import ServiceSettings
 from .call import Call
 from .edge import Edge
 from .file_checks import check_camera_size, image_size, recognise_mesh
+from .webhooks import check_webhook
 
 _MEMORY_BYTES = 2**20  # a larger file waits on disk
 _CHUNK_BYTES = 2**20
@@ -83,6 +84,10 @@ async def submit(
 ) -> Submitted:
     """Check, store and submit."""
     spec = edge.store.check_options(await _checked(upload, edge.settings))
+    if task is Task.REFINE:
+        check_webhook(edge, call.owner, spec)
+    else:
+        spec = spec.model_copy(update={"webhook": None})  # who asks waits for the answer
     if idempotency_key is not None:
         check_idempotency_key(idempotency_key)
     call.job_id = await edge.store.begin_upload(call.owner)

@@ -65,6 +65,15 @@ def test_submit_prints_the_id(submission: list[str], script: Script, capsys: Out
     assert script.calls[0].authorization == "Bearer key-1"
 
 
+def test_submit_names_who_is_told_of_the_end(submission: list[str], script: Script, capsys: Output) -> None:
+    more = ["--webhook-event", "failed", "--webhook-event", "cancelled"]
+    assert submit_command([*submission, *more]) == 2
+    assert "expected --webhook URL" in capsys.readouterr().err
+    assert submit_command([*submission, *more, "--webhook", "https://example.com"]) == 0
+    (upload,) = script.uploads.values()
+    assert upload["webhook"] == {"url": "https://example.com", "events": ["failed", "cancelled"]}
+
+
 def test_validate_prints_what_looks_wrong(submission: list[str], script: Script, capsys: Output) -> None:
     assert validate_command([*submission, "--checks", "strict", "--mesh-format", "obj"]) == 0
     printed, shown = capsys.readouterr()

@@ -37,6 +37,16 @@ def test_submit_sends_everything(
     assert len(call.request_id) == 32
 
 
+def test_submit_names_who_is_told_of_the_end(face: Face, script: Script, camera: Camera) -> None:
+    webhook = {"url": "https://example.com/hook", "events": ["failed"]}
+    face.call("submit", b"mesh", b"png", camera, webhook=webhook, idempotency_key="with")
+    assert script.uploads["with"]["webhook"] == webhook
+    face.call("submit", b"mesh", b"png", camera, idempotency_key="without")
+    assert "webhook" not in script.uploads["without"]
+    with pytest.raises(errors.InvalidInput, match="expected an address"):
+        face.call("submit", b"mesh", b"png", camera, webhook={"url": "example.com"})
+
+
 def test_submit_takes_contents_too(face: Face, script: Script, camera: Camera) -> None:
     face.call("submit", b"glTF...", b"png", camera)
     (upload,) = script.uploads.values()
