@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -155,8 +156,8 @@ def test_another_reading_of_a_matrix_is_offered(page: Page) -> None:
     [
         ("mesh", "a.glb", b"glTF123", "a.glb: this mesh cannot be read: "),
         ("mesh", "a.obj", b"v 0 0 0\n", "a.obj: expected triangles, found none"),
-        ("mesh", "a.step", b"ISO-10303", "expected a GLB, glTF, OBJ, PLY, STL or OFF file"),
-        ("silhouette", "a.png", b"none", "a.png: expected a PNG image that this browser can read"),
+        ("mesh", "a.step", b"ISO-10303", "expected a GLB, glTF, OBJ, PLY, STL, OFF, binvox, NPZ or ZIP file"),
+        ("silhouette", "a.png", b"none", "a.png: expected a PNG, JPEG, WebP, TIFF or BMP image"),
         ("camera", "a.json", b'{"type": "spherical"}', "a.json: expected type look_at or matrix"),
     ],
 )
@@ -169,6 +170,46 @@ def test_a_file_that_cannot_be_read_is_told_and_the_last_one_stays(
     expect(page.locator("[data-error=files]")).to_contain_text(told)
     expect(page.locator(f".drop[data-kind={kind}]")).to_contain_text("car/")
     expect(page.get_by_role("button", name="Refine", exact=True)).to_be_enabled()
+
+
+POINTS = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "content", "told"),
+    [
+        (
+            "mesh",
+            "a.zip",
+            b"PK\3\4",
+            "a.zip is an archive: the server reads it, but this page cannot show it",
+        ),
+        ("mesh", "a.npz", b"PK\3\4", "a.npz is an archive"),
+        ("mesh", "a.binvox", b"#binvox 1\n", "a.binvox is a voxel grid"),
+        ("mesh", "a.ply", POINTS, "a.ply is points"),
+        ("silhouette", "a.tif", b"II*\0", "a.tif is a TIFF"),
+    ],
+)
+def test_what_only_the_server_reads_can_be_submitted(
+    page: Page, kind: str, name: str, content: bytes, told: str
+) -> None:
+    choose(page, "car")
+    file: FilePayload = {"name": name, "mimeType": "application/octet-stream", "buffer": content}
+    page.locator(f"input[name={kind}]").set_input_files(file)
+    expect(page.locator("[data-error=files]")).to_contain_text(told)
+    expect(page.locator(f".drop[data-kind={kind}]")).to_contain_text(name)
+    expect(page.locator("#iou")).to_have_text("\N{EN DASH}")
+    expect(page.get_by_role("button", name="Refine", exact=True)).to_be_enabled()
+
+
+def test_an_archive_is_refined(page: Page, tmp_path: Path) -> None:
+    choose(page, "car")
+    with zipfile.ZipFile(tmp_path / "car.zip", "w") as archive:
+        archive.write(SAMPLES / "car" / "coarse.obj", "coarse.obj")
+    page.locator("input[name=mesh]").set_input_files(tmp_path / "car.zip")
+    expect(page.locator(".drop[data-kind=mesh]")).to_contain_text("car.zip")
+    refine(page, iterations=5)
+    expect(page.locator(".state")).to_have_text("Done.")
 
 
 def test_what_is_no_camera_is_said(page: Page) -> None:

@@ -1,13 +1,19 @@
 // The files of a request, read in the browser: meshes as triangles, silhouettes as masks.
 
+import { objectOf } from "./mask.js";
 import { GLTFLoader, OBJLoader, PLYLoader, STLLoader, Vector3 } from "./vendor/three.js";
 
-/** The triangles of a mesh file: positions Float32Array (V * 3), faces Uint32Array (F * 3). Throws an Error in words. */
+/** A file that the server reads and this page cannot show. */
+export class Unshown extends Error {}
+
+/** The triangles of a mesh file: positions Float32Array (V * 3), faces Uint32Array (F * 3). Throws an Unshown, or an Error in words. */
 export async function readMesh(file) {
   let read;
   try {
     read = await parse(file);
   } catch (error) {
+    if (error instanceof Unshown) throw error;
+    if (/DRACOLoader/.test(error.message)) throw new Unshown("compressed with Draco");
     throw new Error(`this mesh cannot be read: ${error.message}`);
   }
   if (!read.faces.length) throw new Error("expected triangles, found none");
@@ -21,11 +27,16 @@ async function parse(file) {
   const text = () => new TextDecoder().decode(bytes);
   if (head.startsWith("glTF")) return ofScene((await new GLTFLoader().parseAsync(bytes, "")).scene);
   if (head.startsWith("{")) return ofScene((await new GLTFLoader().parseAsync(text(), "")).scene);
-  if (/^ply\s/.test(head)) return ofGeometries([new PLYLoader().parse(bytes)]);
+  if (head.startsWith("PK\x03\x04")) throw new Unshown("an archive");
+  if (head.startsWith("#binvox")) throw new Unshown("a voxel grid");
+  if (/^ply\s/.test(head)) {
+    if (!/element\s+(face|tristrips)\s+[1-9]/.test(head.split("end_header")[0])) throw new Unshown("points");
+    return ofGeometries([new PLYLoader().parse(bytes)]);
+  }
   if (suffix === "obj") return ofScene(new OBJLoader().parse(text()));
   if (suffix === "stl") return ofGeometries([new STLLoader().parse(bytes)]);
   if (suffix === "off" || /^\w*OFF/.test(head)) return readOff(text());
-  throw new Error("expected a GLB, glTF, OBJ, PLY, STL or OFF file");
+  throw new Error("expected a GLB, glTF, OBJ, PLY, STL, OFF, binvox, NPZ or ZIP file");
 }
 
 function ofScene(scene) {
@@ -72,25 +83,19 @@ function readOff(text) {
 
 /** The mask of a silhouette: width, height, object Uint8Array (H * W) of 0 and 1. The rule of docs/conventions.md. */
 export async function readSilhouette(file, threshold = 0.5) {
+  const head = new TextDecoder("latin1").decode(await file.slice(0, 4).arrayBuffer());
+  if (head === "II*\0" || head === "MM\0*") throw new Unshown("a TIFF");
   let image;
   try {
-    image = await createImageBitmap(file, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
+    const plain = { premultiplyAlpha: "none", colorSpaceConversion: "none", imageOrientation: "from-image" };
+    image = await createImageBitmap(file, plain);
   } catch {
-    throw new Error("expected a PNG image that this browser can read");
+    throw new Error("expected a PNG, JPEG, WebP, TIFF or BMP image");
   }
   const { width, height } = image;
   const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
   context.drawImage(image, 0, 0);
-  const { data } = context.getImageData(0, 0, width, height);
-  const object = new Uint8Array(width * height);
-  let opaque = true;
-  for (let i = 3; i < data.length && opaque; i += 4) opaque = data[i] === 255;
-  const levels = new Uint8Array(width * height); // the server looks at more: palettes, labels, soft alpha
-  for (let i = 0; i < levels.length; i++) {
-    levels[i] = opaque ? Math.max(data[4 * i], data[4 * i + 1], data[4 * i + 2]) : data[4 * i + 3];
-  }
-  const [least, largest] = levels.reduce(([low, high], x) => [Math.min(low, x), Math.max(high, x)], [255, 0]);
-  const edge = least + threshold * (largest - least);
-  for (let i = 0; i < levels.length; i++) object[i] = levels[i] > edge ? 1 : 0;
+  const object = objectOf(context.getImageData(0, 0, width, height), threshold);
+  if (object === null) throw new Unshown("of one level in this browser, which sees 8 bits and no palette");
   return { width, height, object };
 }

@@ -17,9 +17,13 @@ export class Overlap {
     this.mask = null;
   }
 
-  setMesh({ positions, faces }) {
+  /** Show the triangles of readMesh, or null for none. */
+  setMesh(read) {
     this.mesh?.geometry.dispose();
     this.scene.clear();
+    this.mesh = null;
+    if (!read) return;
+    const { positions, faces } = read;
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(positions, 3)).setIndex(new BufferAttribute(faces, 1));
     geometry.computeBoundingSphere();
@@ -39,6 +43,10 @@ export class Overlap {
       either += covered[i] | wanted[i];
     }
     return either ? both / either : 0;
+  }
+
+  clear() {
+    this.canvas.getContext("2d").clearRect(0, 0, this.canvas.width, this.canvas.height);
   }
 
   /** Draw both into the canvas. `camera` may be null: then the mask alone. */

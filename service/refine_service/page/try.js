@@ -3,7 +3,7 @@
 import { submit } from "./api.js";
 import { otherReadings, readCamera } from "./camera.js";
 import { element, fixed, oncePerFrame, shown } from "./dom.js";
-import { readMesh, readSilhouette } from "./files.js";
+import { readMesh, readSilhouette, Unshown } from "./files.js";
 import { Overlap } from "./overlap.js";
 
 const SAMPLES = ["chair", "airplane", "car"];
@@ -92,8 +92,8 @@ export class Try {
   async pick(kind, file, label = file.name) {
     this.tell("files");
     try {
-      if (!kind) throw new Error("expected a mesh, a PNG or a camera as JSON");
-      const read = await PICKED[kind](file);
+      if (!kind) throw new Error("expected a mesh, an image or a camera as JSON");
+      const read = await PICKED[kind](file).catch((error) => this.unshown(file, error));
       if (kind === "camera") {
         readCamera(read, 2, 2); // throws what is wrong with it
         this.setCamera(read);
@@ -108,6 +108,13 @@ export class Try {
       this.tell("files", new Error(`${label}: ${error.message}`));
     }
     this.update();
+  }
+
+  /** What to show of a file that only the server can read: nothing, and a word. */
+  unshown(file, error) {
+    if (!(error instanceof Unshown)) throw error;
+    this.tell("files", new Error(`${file.name} is ${error.message}: the server reads it, but this page cannot show it`));
+    return null;
   }
 
   /** The CameraSpec that the form says; NaN where it says no number. */
@@ -179,12 +186,13 @@ export class Try {
     } catch (error) {
       this.tell("camera", error);
     }
-    this.form.querySelector("button.primary").disabled = !(mesh && silhouette && camera) || this.sending;
-    if (!this.overlap || !silhouette || !this.root.isConnected) return;
-    this.overlap.draw(mesh && camera);
-    const iou = mesh && camera ? this.overlap.iou(camera) : null;
+    this.form.querySelector("button.primary").disabled = !(this.files.mesh && this.files.silhouette && camera) || this.sending;
+    if (!this.overlap || !this.root.isConnected) return;
+    if (silhouette) this.overlap.draw(mesh && camera);
+    else this.overlap.clear();
+    const iou = mesh && silhouette && camera ? this.overlap.iou(camera) : null;
     this.root.querySelector("#iou").textContent = iou === null ? "–" : fixed(iou, 3);
-    const words = iou === null ? "Choose a mesh and set the camera." : verdict(iou);
+    const words = iou === null ? "Choose a mesh and a silhouette, and set the camera." : verdict(iou);
     const told = this.root.querySelector("#verdict");
     if (told.textContent !== words) told.textContent = words;
     this.overlap.canvas.setAttribute("aria-label", iou === null ? "The silhouette" : `The mesh over its silhouette, 2D IoU ${fixed(iou, 2)}`);
@@ -231,8 +239,8 @@ export class Try {
 
 function kindOf({ name }) {
   if (/\.json$/i.test(name)) return "camera";
-  if (/\.png$/i.test(name)) return "silhouette";
-  return /\.(glb|gltf|obj|ply|stl|off)$/i.test(name) ? "mesh" : null;
+  if (/\.(png|jpe?g|webp|tiff?|bmp)$/i.test(name)) return "silhouette";
+  return /\.(glb|gltf|obj|ply|stl|off|zip|binvox|npz)$/i.test(name) ? "mesh" : null;
 }
 
 function verdict(iou) {
