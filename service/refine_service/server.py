@@ -11,19 +11,24 @@ import contextlib
 import logging
 import socket
 from collections.abc import Callable
+from functools import partial
 from types import FrameType
+from typing import cast
 
 import uvicorn
 
 from refine_jobs.settings import JobSettings
 
+from .descriptors import connections_of_each_transport
 from .edge.edge import Edge, open_edge
 from .edge.webhooks import deliver_webhooks
 from .rest.app import make_app
+from .rest.connections import Gate, HttpConnection
 from .rpc.server import RpcServer, url_host
 from .settings import ServiceSettings
+from .tls import Tls
 
-_BACKLOG = 2048
+_BACKLOG = 256
 log = logging.getLogger(__name__)
 
 
@@ -31,41 +36,50 @@ async def run_service(
     settings: ServiceSettings, jobs: JobSettings, redis_url: str, listening: Callable[[str, str], None]
 ) -> None:
     """Serve until a signal; `listening` gets the REST URL and the gRPC address. OSError: a port is taken."""
+    tls = Tls.from_settings(settings)
+    connections = connections_of_each_transport(settings.max_connections)
     async with open_edge(settings, jobs, redis_url) as edge:
-        rpc = RpcServer(edge)
+        rpc = RpcServer(edge, connections, tls)
+        gate = Gate(settings, connections, tls)
         try:
             with _listen(settings) as listener:
-                await _serve(edge, rpc, listener, listening)
+                await _serve(edge, rpc, gate, listener, listening)
         finally:
             await rpc.stop(settings.grace_s)
 
 
 async def _serve(
-    edge: Edge, rpc: RpcServer, listener: socket.socket, listening: Callable[[str, str], None]
+    edge: Edge, rpc: RpcServer, gate: Gate, listener: socket.socket, listening: Callable[[str, str], None]
 ) -> None:
     grpc_port = await rpc.start()
-    http = _HttpServer(edge)
+    http = _HttpServer(edge, gate)
     serving = asyncio.create_task(http.serve([listener]))
     health = asyncio.create_task(rpc.show_health())
     webhooks = asyncio.create_task(deliver_webhooks(edge))
+    standing = asyncio.create_task(gate.watch())
     while not http.started and not serving.done():
         await asyncio.sleep(0.01)
     host = url_host(edge.settings.host)
-    listening(f"http://{host}:{listener.getsockname()[1]}", f"{host}:{grpc_port}")
+    scheme = "http" if gate.tls is None else "https"
+    listening(f"{scheme}://{host}:{listener.getsockname()[1]}", f"{host}:{grpc_port}")
     await asyncio.wait({serving, edge.draining}, return_when=asyncio.FIRST_COMPLETED)
     log.info("draining")
     health.cancel()
     await asyncio.gather(rpc.stop(edge.settings.grace_s), serving, webhooks)
+    standing.cancel()
     log.info("stopped")
 
 
 class _HttpServer(uvicorn.Server):
     """uvicorn, which on a signal first ends the streams that would keep it from stopping."""
 
-    def __init__(self, edge: Edge) -> None:
+    def __init__(self, edge: Edge, gate: Gate) -> None:
         super().__init__(
             uvicorn.Config(
                 make_app(edge),
+                http=cast(type[asyncio.Protocol], partial(HttpConnection, gate)),
+                ws="none",
+                backlog=_BACKLOG,
                 log_config=None,
                 access_log=False,
                 server_header=False,

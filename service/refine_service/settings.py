@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ipaddress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from refine_jobs.settings import EnvironmentSettings
 
@@ -36,6 +36,17 @@ class ServiceSettings(EnvironmentSettings):
     max_json_bytes: int = Field(
         16 * _MIB, ge=1, description="Largest JSON body: base64 in it is held in memory."
     )
+    max_connections: int = Field(1024, ge=8, description="Open connections over HTTP, and as many over gRPC.")
+    max_connections_per_address: int = Field(
+        256, ge=1, description="Over HTTP from one address; of a proxy in front: all that it opens."
+    )
+    max_header_bytes: int = Field(64 * 1024, ge=1024, description="Largest head of one HTTP request.")
+    head_timeout_s: float = Field(
+        10, gt=0, description="From a connection or the last answer until the next request has its head."
+    )
+    write_timeout_s: float = Field(
+        60, gt=0, description="How long a caller over HTTP may take nothing of an answer that waits for it."
+    )
     upload_timeout_s: float = Field(300, gt=0, description="Longest time that one upload may take.")
     answer_timeout_s: float = Field(
         20, gt=0, description="How long a call waits for a worker slot that answers a question."
@@ -44,7 +55,15 @@ class ServiceSettings(EnvironmentSettings):
         (), description="Private networks that webhooks may reach, also over http: 10.1.0.0/16,127.0.0.1"
     )
     grace_s: float = Field(20, gt=0, description="From SIGTERM until calls that still run are cut off.")
+    tls_certificate: Path | None = Field(None, description="Certificate chain (PEM) of REST and gRPC.")
+    tls_key: Path | None = Field(None, description="Its private key (PEM).")
     grpc_reflection: bool = Field(False, description="Let gRPC clients list services and messages.")
+
+    @model_validator(mode="after")
+    def _certificate_with_key(self) -> Self:
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise ValueError("expected both REFINE_TLS_CERTIFICATE and REFINE_TLS_KEY, or none")
+        return self
 
     @property
     def key_required(self) -> bool:

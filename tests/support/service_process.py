@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import resource
 import signal
 import struct
 import subprocess
@@ -68,6 +69,13 @@ class Service:
         server = self.rest_url if transport == "rest" else f"grpc://{self.grpc_address}"
         return RefineClient(server, api_key=key, retry=RetryPolicy(retries=0))
 
+    @property
+    def http_address(self) -> tuple[str, int]:
+        """Host and port, for sockets."""
+        url = httpx.URL(self.rest_url)
+        assert url.port is not None
+        return url.host, url.port
+
     def stop(self) -> int:
         """SIGTERM and the exit code."""
         self.process.send_signal(signal.SIGTERM)
@@ -86,9 +94,12 @@ class Service:
 
 @contextmanager
 def run_service(
-    redis_url: str, folder: Path, settings: Mapping[str, object] | None = None
+    redis_url: str,
+    folder: Path,
+    settings: Mapping[str, object] | None = None,
+    descriptors: int | None = None,
 ) -> Iterator[Service]:
-    """A service on free ports with REFINE_* settings given without the prefix."""
+    """A service on free ports with REFINE_* settings given without the prefix, and so many open files."""
     folder.mkdir(parents=True, exist_ok=True)
     values = {
         "redis_url": redis_url,
@@ -101,8 +112,20 @@ def run_service(
     environment |= {f"REFINE_{name.upper()}": str(value) for name, value in values.items()}
     log_path = folder / "service.log"
     command = [sys.executable, "-W", "error", "-m", "refine_service"]
+
+    def limit_descriptors() -> None:
+        if descriptors is not None:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (descriptors, descriptors))
+
     with log_path.open("w") as log:
-        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=log, text=True)
+        process = subprocess.Popen(
+            command,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            preexec_fn=limit_descriptors,
+        )
     assert process.stdout is not None
     try:
         words = process.stdout.readline().split()

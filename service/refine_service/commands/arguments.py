@@ -50,8 +50,11 @@ def command(run: Callable[[Sequence[str]], int]) -> Callable[[Sequence[str]], in
             return run(argv)
         except ValidationError as error:
             for line in error.errors():
-                name = "_".join(str(step) for step in line["loc"]).upper()
-                print(f"error: REFINE_{name}: {line['msg']}, got {line['input']!r}", file=sys.stderr)
+                if line["loc"]:
+                    name = "_".join(str(step) for step in line["loc"]).upper()
+                    print(f"error: REFINE_{name}: {line['msg']}, got {line['input']!r}", file=sys.stderr)
+                else:  # of several settings together
+                    print(f"error: {line['msg'].removeprefix('Value error, ')}", file=sys.stderr)
         except (OSError, RedisUnfit, EmbeddedRedisError, KeysFileInvalid) as error:
             print(f"error: {error}", file=sys.stderr)
         return BAD_INPUT

@@ -11,14 +11,21 @@ from grpc_reflection.v1alpha import reflection
 from refine_proto.v1.refine_pb2_grpc import add_RefinementsServicer_to_server
 
 from ..edge.edge import Edge
+from ..tls import Tls
 from .middleware import SERVICE, RpcCalls
 from .refinements import Refinements
 
+_MAX_CALLS = 4096  # at a time, in this process; more: RESOURCE_EXHAUSTED
 _LOOK_S = 5.0  # between two looks whether the service is ready
 _OPTIONS = (
     ("grpc.so_reuseport", 0),  # a second service on the port must fail, not share it
     ("grpc.max_receive_message_length", 4 * 2**20),  # files come in chunks
     ("grpc.max_concurrent_streams", 1000),  # of one connection
+    ("grpc.max_metadata_size", 16 * 1024),
+    ("grpc.absolute_max_metadata_size", 32 * 1024),
+    ("grpc.server_handshake_timeout_ms", 10_000),  # of TLS, and of HTTP/2
+    ("grpc.max_connection_idle_ms", 300_000),  # without a call; clients connect again by themselves
+    ("grpc.keepalive_time_ms", 60_000),  # find out that the other side is gone
     ("grpc.http2.min_recv_ping_interval_without_data_ms", 10_000),  # callers may look after idle watches
 )
 
@@ -26,9 +33,13 @@ _OPTIONS = (
 class RpcServer:
     """A context in which the server runs."""
 
-    def __init__(self, edge: Edge) -> None:
-        self._edge = edge
-        self._server = grpc.aio.server(interceptors=[RpcCalls(edge)], options=_OPTIONS)
+    def __init__(self, edge: Edge, max_connections: int, tls: Tls | None) -> None:
+        self._edge, self._tls = edge, tls
+        self._server = grpc.aio.server(
+            interceptors=[RpcCalls(edge)],
+            options=(*_OPTIONS, ("grpc.max_allowed_incoming_connections", max_connections)),
+            maximum_concurrent_rpcs=_MAX_CALLS,
+        )
         self._health = health.aio.HealthServicer()
         add_RefinementsServicer_to_server(Refinements(edge), self._server)
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)
@@ -41,7 +52,10 @@ class RpcServer:
         settings = self._edge.settings
         address = f"{url_host(settings.host)}:{settings.grpc_port}"
         try:
-            port = self._server.add_insecure_port(address)
+            if self._tls is None:
+                port = self._server.add_insecure_port(address)
+            else:
+                port = self._server.add_secure_port(address, self._tls.grpc_credentials())
         except RuntimeError as error:
             raise OSError(f"expected a free gRPC port, cannot listen on {address}") from error
         await self._server.start()
