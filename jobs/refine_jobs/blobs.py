@@ -11,8 +11,9 @@ import hashlib
 import shutil
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 import obstore
 from obstore.exceptions import BaseError
@@ -145,7 +146,24 @@ class BlobStore:
                 obstore.delete(self._store, name)
             except FileNotFoundError:
                 continue  # somebody else was faster
+        if self._folder is not None:  # what killed processes have half-written is not listed
+            shutil.rmtree(Path(self._folder, folder), ignore_errors=True)
         return len(names)
+
+    def folders(self, parent: str) -> list[str]:
+        """Names of the folders in `parent`, half-written blobs or not."""
+        if self._folder is not None:
+            place = Path(self._folder, parent)
+            return sorted(path.name for path in place.iterdir()) if place.exists() else []
+        found = obstore.list_with_delimiter(self._store, parent)["common_prefixes"]
+        return sorted(prefix.rstrip("/").rpartition("/")[2] for prefix in found)
+
+    def changed_at(self, folder: str) -> float:
+        """When something below `folder` was last written, in seconds since 1970; 0 if nothing is there."""
+        if self._folder is not None:
+            return max(_mtimes(Path(self._folder, folder)), default=0.0)
+        found = (blob for batch in obstore.list(self._store, folder) for blob in batch)
+        return max((blob["last_modified"].timestamp() for blob in found), default=0.0)
 
     def space(self) -> Space | None:
         """Of the file system; None for a bucket, which has no bound. Raises OSError."""
@@ -160,6 +178,12 @@ class BlobStore:
         with _failing_as_one():
             obstore.put(self._store, probe, b"probe")
             obstore.delete(self._store, probe)
+
+
+def _mtimes(folder: Path) -> Iterator[float]:
+    for path in (folder, *folder.rglob("*")):
+        with suppress(FileNotFoundError):  # it went meanwhile
+            yield path.stat().st_mtime
 
 
 def _next(chunks: Iterator[bytes]) -> bytes | None:

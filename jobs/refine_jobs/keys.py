@@ -24,6 +24,7 @@ TRASH = "refine:trash"  # set of ids whose blobs are to be deleted
 MISSING = "refine:missing"  # hash queued id -> when it was first not found in RQ
 OUTBOX = "refine:outbox"  # sorted set of ids of webhooks to deliver by the time of their next attempt
 WEBHOOK = "refine:webhook:"  # + id: hash, a webhook in OUTBOX (webhook_outbox.py)
+SWEPT = "refine:swept"  # there for SWEEP_S after somebody has looked for blobs without a job
 METRICS = "refine:metrics"  # hash of counters and histograms written by lua/common.lua
 SLOT = "refine:slot:"  # + name: hash, what a worker slot is doing; expires SLOT_S after its last sign of life
 SLOTS = "refine:slots"  # sorted set of slot names by expiry
@@ -33,6 +34,7 @@ DOORBELL = "refine:doorbell"  # channel: the id of a job that has a new event
 EVENTS_KEPT = 1024  # per job; more than a job at two events a second for the default of iterations
 SLOT_S = 15  # a slot shows up every few seconds
 UPLOAD_S = 3_600  # an upload that has not become a job by then is removed
+SWEEP_S = 3_600  # between two looks for blobs without a job
 LAST_WORDS_S = 60  # the events of a removed job; somebody may be watching
 MISSING_S = 30  # RQ holds no id for this long between taking a job and starting it
 RQ_TIMEOUT_MARGIN_S = 120  # RQ's own timeout is the outermost guard, after ours
@@ -78,9 +80,12 @@ def idempotency(owner: str, key_sha256: str) -> str:
     return f"{IDEMPOTENCY}{owner}:{key_sha256}"
 
 
+BLOBS = "jobs"  # folder of all blobs
+
+
 def blob_folder(job_id: str) -> str:
     """Folder of all blobs of a job."""
-    return f"jobs/{job_id}"
+    return f"{BLOBS}/{job_id}"
 
 
 def input_blob(job_id: str, part: str) -> str:

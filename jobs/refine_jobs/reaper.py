@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from dataclasses import dataclass
 
 from refine_proto.models import State
@@ -24,6 +25,7 @@ class Reaped:
     requeued: tuple[str, ...]
     expired: tuple[str, ...]
     blobs_deleted: int
+    swept: int  # folders of blobs without a job
 
 
 def reap(store: WorkerStore, blobs: BlobStore) -> Reaped:
@@ -39,4 +41,17 @@ def reap(store: WorkerStore, blobs: BlobStore) -> Reaped:
         log.warning("job %s lost its worker and is now %s", job_id, state)
     for job_id in requeued:
         log.warning("job %s was not in RQ any more and is queued again", job_id)
-    return Reaped(taken_back, requeued, expired, deleted)
+    return Reaped(taken_back, requeued, expired, deleted, sweep(store, blobs) if store.sweep_due() else 0)
+
+
+def sweep(store: WorkerStore, blobs: BlobStore) -> int:
+    """Delete the blobs of jobs that Redis has forgotten, as after a failover; the number of jobs."""
+    old = [
+        job_id
+        for job_id in store.without_job(blobs.folders(keys.BLOBS))
+        if time.time() - blobs.changed_at(keys.blob_folder(job_id)) > store.longest_life_s
+    ]
+    for job_id in old:
+        blobs.delete_folder(keys.blob_folder(job_id))
+        log.warning("blobs without a job: %s is deleted", keys.blob_folder(job_id))
+    return len(old)

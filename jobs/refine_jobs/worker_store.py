@@ -153,6 +153,30 @@ class WorkerStore:
         """The blobs of the job are gone."""
         self._redis.srem(keys.TRASH, job_id)
 
+    def sweep_due(self) -> bool:
+        """Whether nobody has looked for blobs without a job for keys.SWEEP_S; the caller does it now."""
+        return bool(self._redis.set(keys.SWEPT, "", nx=True, ex=keys.SWEEP_S))
+
+    def without_job(self, job_ids: Sequence[str]) -> list[str]:
+        """Those of which Redis knows nothing: no record, no upload, no trash."""
+        with self._redis.pipeline(transaction=False) as pipe:
+            for job_id in job_ids:
+                pipe.exists(keys.JOB + job_id)
+                pipe.zscore(keys.UPLOADS, job_id)
+                pipe.sismember(keys.TRASH, job_id)
+            answers = iter(pipe.execute())
+        known = zip(answers, answers, answers, strict=True)
+        return [
+            job_id
+            for job_id, (record, upload, trash) in zip(job_ids, known, strict=True)
+            if not record and upload is None and not trash
+        ]
+
+    @property
+    def longest_life_s(self) -> float:
+        """Of blobs whose job has left no trace: younger ones may belong to a Redis that is not this one."""
+        return self._settings.retention_s + keys.UPLOAD_S
+
     # ---- helpers ----
 
     @property

@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import os
+import subprocess
+import sys
+import time
 import urllib.request
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -84,6 +87,30 @@ def test_an_upload_that_breaks_off_leaves_nothing(blobs: BlobStore, size: int) -
     with pytest.raises(BlobNotFound):
         blobs.get("jobs/a/input/mesh")
     assert blobs.delete_folder("jobs") == 0
+
+
+def test_folders_and_their_age(blobs: BlobStore) -> None:
+    assert blobs.folders("jobs") == []
+    blobs.put("jobs/a/input/mesh", b"x")
+    blobs.put("jobs/b/1", b"x")
+    assert blobs.folders("jobs") == ["a", "b"]
+    assert 0 <= time.time() - blobs.changed_at("jobs/a") < 3600
+    assert blobs.changed_at("jobs/c") == 0
+
+
+def test_what_a_killed_process_has_half_written_goes_with_its_folder(tmp_path: Path) -> None:
+    code = (
+        "import asyncio, os, sys; from refine_jobs.blobs import *\n"
+        "async def chunks():\n"
+        "    for _ in range(8): yield bytes(WRITE_BYTES)\n"
+        "    os._exit(9)\n"
+        "asyncio.run(BlobStore(sys.argv[1]).put_stream('jobs/a/input/mesh', chunks()))"
+    )
+    assert subprocess.run([sys.executable, "-c", code, tmp_path]).returncode == 9
+    blobs = BlobStore(str(tmp_path))
+    assert blobs.folders("jobs") == ["a"]
+    assert blobs.delete_folder("jobs/a") == 0
+    assert list(tmp_path.rglob("*")) in ([], [tmp_path / "jobs"])
 
 
 def test_missing_blobs(blobs: BlobStore) -> None:

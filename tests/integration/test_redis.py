@@ -24,6 +24,7 @@ from refine_jobs import durable, embedded, keys
 from refine_jobs.edge_store import JobStore
 from refine_jobs.embedded import EmbeddedRedis, EmbeddedRedisError, find_server
 from refine_jobs.health import Health
+from refine_jobs.reaper import reap
 from refine_jobs.redis_server import RedisUnfit, check_server, connect, connect_async
 from refine_jobs.settings import JobSettings
 from refine_jobs.slots import SlotState, SlotStatus
@@ -213,6 +214,40 @@ def test_a_redis_that_is_away_is_unavailable(jobs: Jobs, tmp_path: Path) -> None
 
 async def _jobs_at(jobs: Jobs, store: JobStore) -> Refinement:
     return (await jobs.submit(store)).refinement
+
+
+def test_blobs_that_redis_has_forgotten_are_swept(jobs: Jobs, redis: Redis) -> None:
+    async def submit() -> str:
+        async with jobs.edge() as store:
+            return (await jobs.submit(store)).refinement.id
+
+    known, forgotten, young = (asyncio.run(submit()) for _ in range(3))
+    redis.delete(keys.JOB + forgotten, keys.JOB + young)
+    long_ago = time.time() - jobs.settings.retention_s - keys.UPLOAD_S - 1
+    place = jobs.settings.data_folder / "blobs"
+    for job_id in (known, forgotten):
+        folder = place / keys.blob_folder(job_id)
+        (folder / "input" / "mesh#1").write_bytes(b"half-written")
+        for path in (folder, *folder.rglob("*")):
+            os.utime(path, (long_ago, long_ago))
+    assert reap(jobs.worker, jobs.blobs).swept == 1
+    assert jobs.blobs.folders(keys.BLOBS) == sorted([known, young])
+    assert reap(jobs.worker, jobs.blobs).swept == 0  # not again within the hour
+
+
+def test_a_flush_of_the_scripts_goes_unnoticed(jobs: Jobs, redis: Redis) -> None:
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            for _ in range(2):
+                redis.script_flush()
+                job_id = (await jobs.submit(store)).refinement.id
+                redis.script_flush()
+                job = jobs.worker.claim(job_id, "slot-0")
+                assert job
+                redis.script_flush()
+                jobs.worker.cancelled(job)
+
+    asyncio.run(scenario())
 
 
 def test_health_shows_slots_and_counts(jobs: Jobs) -> None:
