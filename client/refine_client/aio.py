@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from refine_proto.errors import Busy, NotFound, RefineError
+from refine_proto.lists import make_filter, make_lifetime
 from refine_proto.models import (
     Artifact,
     CameraSpec,
@@ -20,13 +21,14 @@ from refine_proto.models import (
     Refinement,
     RefinementOptions,
     RefinementPage,
+    State,
     Validation,
     Webhook,
 )
 from refine_proto.tracing import call_span
 
 from .address import Connection
-from .client import Refined
+from .client import PAGE, Refined
 from .errors import error_of
 from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
@@ -67,11 +69,12 @@ class AsyncRefineClient:
         views: Sequence[View] = (),
         mesh_format: MeshFormat | str | None = None,
         webhook: Webhook | Mapping[str, Any] | None = None,
+        metadata: Mapping[str, str] | None = None,
         idempotency_key: str | None = None,
     ) -> Refinement:
         """See RefineClient.submit."""
         upload = make_upload(
-            mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views, webhook
+            mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views, webhook, metadata
         )
         with call_span("create refinement"):
             return await self._retried(lambda: self._transport.create(upload))
@@ -95,9 +98,34 @@ class AsyncRefineClient:
         """See RefineClient.get."""
         return await self._retried(lambda: self._transport.get(refinement_id))
 
-    async def list(self, *, limit: int | None = None, cursor: str | None = None) -> RefinementPage:
+    async def list(
+        self,
+        *,
+        limit: int | None = None,
+        cursor: str | None = None,
+        state: Sequence[State | str] = (),
+        metadata: Mapping[str, str] | None = None,
+    ) -> RefinementPage:
         """See RefineClient.list."""
-        return await self._retried(lambda: self._transport.list(limit, cursor))
+        wanted = make_filter(state, metadata)
+        return await self._retried(lambda: self._transport.list(limit, cursor, wanted))
+
+    async def list_all(
+        self, *, state: Sequence[State | str] = (), metadata: Mapping[str, str] | None = None
+    ) -> AsyncGenerator[Refinement, None]:
+        """See RefineClient.list_all."""
+        cursor: str | None = None
+        while True:
+            page = await self.list(limit=PAGE, cursor=cursor, state=state, metadata=metadata)
+            for refinement in page.refinements:
+                yield refinement
+            if (cursor := page.next_cursor) is None:
+                return
+
+    async def extend(self, refinement_id: str, lifetime_s: float) -> Refinement:
+        """See RefineClient.extend."""
+        lifetime = make_lifetime(lifetime_s)
+        return await self._retried(lambda: self._transport.extend(refinement_id, lifetime))
 
     async def cancel(self, refinement_id: str) -> Refinement:
         """See RefineClient.cancel."""

@@ -35,6 +35,7 @@ COMMANDS = {
     "get": Command("show one refinement"),
     "list": Command("list refinements"),
     "watch": Command("follow the progress of a refinement"),
+    "extend": Command("keep a refinement for longer"),
     "cancel": Command("cancel a refinement"),
     "delete": Command("remove a refinement and its files"),
     "download": Command("fetch the artifacts of a refinement"),

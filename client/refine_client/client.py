@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from refine_proto.errors import Busy, NotFound, RefineError
+from refine_proto.lists import make_filter, make_lifetime
 from refine_proto.models import (
     Artifact,
     CameraSpec,
@@ -21,6 +22,7 @@ from refine_proto.models import (
     Refinement,
     RefinementOptions,
     RefinementPage,
+    State,
     Validation,
     Webhook,
 )
@@ -35,6 +37,7 @@ from .transports.base import make_transport
 from .upload import Source, View, make_upload
 
 T = TypeVar("T")
+PAGE = 100  # the longest
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,7 @@ class RefineClient:
         views: Sequence[View] = (),
         mesh_format: MeshFormat | str | None = None,
         webhook: Webhook | Mapping[str, Any] | None = None,
+        metadata: Mapping[str, str] | None = None,
         idempotency_key: str | None = None,
     ) -> Refinement:
         """Send a refinement and return it as soon as it is queued.
@@ -99,6 +103,7 @@ class RefineClient:
             mesh_format: Default: the suffix of the path, else the server recognises the content.
             webhook: A Webhook or a mapping with the `url` that is told of the end; there, `verify_webhook`
                 reads what comes.
+            metadata: Up to 20 pairs of text, to find it again.
             idempotency_key: Sending the same key and content again gives the first refinement again. Default:
                 a new one, which the retries of this call share.
 
@@ -106,7 +111,7 @@ class RefineClient:
             OSError: A file cannot be read.
         """
         upload = make_upload(
-            mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views, webhook
+            mesh, silhouette, camera, options, mesh_format, idempotency_key, ignore, views, webhook, metadata
         )
         with call_span("create refinement"):
             return self._retried(lambda: self._transport.create(upload))
@@ -134,9 +139,37 @@ class RefineClient:
         """The refinement as it is now."""
         return self._retried(lambda: self._transport.get(refinement_id))
 
-    def list(self, *, limit: int | None = None, cursor: str | None = None) -> RefinementPage:
-        """A page of the caller's refinements, newest first; pass its `next_cursor` for the next page."""
-        return self._retried(lambda: self._transport.list(limit, cursor))
+    def list(
+        self,
+        *,
+        limit: int | None = None,
+        cursor: str | None = None,
+        state: Sequence[State | str] = (),
+        metadata: Mapping[str, str] | None = None,
+    ) -> RefinementPage:
+        """A page of the caller's refinements, newest first; pass its `next_cursor` for the next page.
+
+        `state` and `metadata` leave out what is in none of these states, or has not all of these pairs; a
+        page may then be short, even empty, before the last one.
+        """
+        wanted = make_filter(state, metadata)
+        return self._retried(lambda: self._transport.list(limit, cursor, wanted))
+
+    def list_all(
+        self, *, state: Sequence[State | str] = (), metadata: Mapping[str, str] | None = None
+    ) -> Iterator[Refinement]:
+        """As list, over all pages; they are asked for as they are needed."""
+        cursor: str | None = None
+        while True:
+            page = self.list(limit=PAGE, cursor=cursor, state=state, metadata=metadata)
+            yield from page.refinements
+            if (cursor := page.next_cursor) is None:
+                return
+
+    def extend(self, refinement_id: str, lifetime_s: float) -> Refinement:
+        """Keep an ended refinement and its files for `lifetime_s` from now on; Conflict before its end."""
+        lifetime = make_lifetime(lifetime_s)
+        return self._retried(lambda: self._transport.extend(refinement_id, lifetime))
 
     def cancel(self, refinement_id: str) -> Refinement:
         """Cancel a queued refinement at once, a running one soon (`cancelling`); a terminal one stays."""

@@ -66,6 +66,7 @@ def make_upload(
     ignore: Source | None = None,
     views: Sequence[View] = (),
     webhook: Webhook | Mapping[str, Any] | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> Upload:
     """Check everything but the files; InvalidInput, the server's errors, if something is wrong."""
     if mesh_format is None and not isinstance(mesh, bytes):
@@ -78,6 +79,7 @@ def make_upload(
                 "mesh_format": mesh_format,
                 "views": [{"camera": view.camera} for view in views],
                 "webhook": webhook,
+                "metadata": metadata or {},
             }
         )
     except ValidationError as error:

@@ -10,7 +10,7 @@ import base64
 import binascii
 import hashlib
 import secrets
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +28,7 @@ from refine_proto.errors import (
     QuotaExceeded,
     Unavailable,
 )
+from refine_proto.lists import RefinementFilter
 from refine_proto.models import Event, FieldError, Refinement, RefinementPage, RefinementSpec, State
 
 from . import keys
@@ -39,6 +40,9 @@ from .redis_server import RETRY_S, unavailable
 from .scripts import Clock, Scripts
 from .settings import JobSettings
 
+_LOOK = 100  # records that a list reads at a time; the longest page
+_MOST_LOOKS = 10  # of one page
+_ALL = RefinementFilter()
 _BUSY_RETRY_S = 10.0  # queue full: a job takes longer than this
 
 
@@ -163,30 +167,53 @@ class JobStore:
         return (await self._job(owner, job_id)).answer
 
     @unavailable
-    async def list(self, owner: str, limit: int = 20, cursor: str | None = None) -> RefinementPage:
-        """The owner's refinements, newest first; `cursor` is the `next_cursor` of the page before."""
+    async def list(
+        self,
+        owner: str,
+        limit: int = 20,
+        cursor: str | None = None,
+        wanted: RefinementFilter = _ALL,
+    ) -> RefinementPage:
+        """The owner's refinements that are wanted, newest first; `cursor`: `next_cursor` of the page before.
+
+        A page holds fewer than `limit`, perhaps none, if few of many records are wanted: follow the cursor.
+        """
         below = f"({_number(cursor)}" if cursor else "+inf"
-        found = await self._redis.zrange(
-            keys.OWNER + owner,
-            below,
-            "-inf",
-            byscore=True,
-            desc=True,
-            offset=0,
-            num=limit + 1,
-            withscores=True,
-        )
+        found: list[Refinement] = []
+        for _ in range(_MOST_LOOKS):
+            # One more than are looked at, which tells whether there is another page.
+            entries = await self._redis.zrange(
+                keys.OWNER + owner,
+                below,
+                "-inf",
+                byscore=True,
+                desc=True,
+                offset=0,
+                num=_LOOK + 1,
+                withscores=True,
+            )
+            looked_at = entries[: limit if wanted.takes_all else _LOOK]
+            shown = await self._read([job_id for job_id, _ in looked_at])
+            for place, ((_, number), refinement) in enumerate(zip(looked_at, shown, strict=True), 1):
+                if refinement is not None and wanted.takes(refinement):
+                    found.append(refinement)
+                if len(found) == limit:
+                    more = place < len(entries)
+                    return RefinementPage(refinements=found, next_cursor=_cursor(number) if more else None)
+            if len(looked_at) == len(entries):
+                return RefinementPage(refinements=found)
+            below = f"({int(looked_at[-1][1])}"
+        return RefinementPage(refinements=found, next_cursor=_cursor(looked_at[-1][1]))
+
+    async def _read(self, job_ids: Sequence[str]) -> Sequence[Refinement | None]:
+        """None for a question, for one that only a newer version can read, and for one removed meanwhile."""
         async with self._redis.pipeline(transaction=False) as pipe:
-            for job_id, _ in found[:limit]:
+            for job_id in job_ids:
                 pipe.hgetall(keys.JOB + job_id)
                 pipe.zrank(keys.QUEUED, job_id)
             values = await pipe.execute()
-        # An entry without a record was removed between the two steps.
         read = ((Job.read(fields), rank) for fields, rank in zip(values[::2], values[1::2], strict=True))
-        return RefinementPage(
-            refinements=[job.refinement(rank) for job, rank in read if job and job.task is Task.REFINE],
-            next_cursor=_cursor(int(found[limit - 1][1])) if len(found) > limit else None,
-        )
+        return [job.refinement(rank) if job and job.task is Task.REFINE else None for job, rank in read]
 
     async def watch(self, owner: str, job_id: str, after_sequence: int = 0) -> AsyncGenerator[Event, None]:
         """The events after a sequence number, past and to come; ends after the completed one.
@@ -207,6 +234,21 @@ class JobStore:
         retention_ms = int(self._settings.retention_s * 1000)
         withdraw = self._delivery.withdraw(job_id, job.attempt + 1)
         await self._scripts.run("cancel", job_id, retention_ms, *withdraw)
+        return await self.get(owner, job_id)
+
+    @unavailable
+    async def extend(self, owner: str, job_id: str, lifetime_s: float) -> Refinement:
+        """Keep an ended job for so long from now on; raises Conflict before its end, and InvalidInput."""
+        longest_s = self._settings.max_retention_s
+        if not 0 < lifetime_s <= longest_s:
+            detail = (
+                f"expected lifetime_s above 0 and of at most {longest_s:g} on this server, got {lifetime_s:g}"
+            )
+            raise InvalidInput(detail, errors=[FieldError(pointer="/lifetime_s", detail=detail)])
+        job = await self._job(owner, job_id)
+        if not await self._scripts.run("extend", job_id, int(lifetime_s * 1000)):
+            await self._job(owner, job_id)  # says whether it is gone
+            raise Conflict(f"refinement {job_id} is {job.state}; its lifetime begins with its end")
         return await self.get(owner, job_id)
 
     @unavailable
@@ -267,8 +309,8 @@ def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _cursor(number: int) -> str:
-    return base64.urlsafe_b64encode(str(number).encode()).decode().rstrip("=")
+def _cursor(number: float) -> str:
+    return base64.urlsafe_b64encode(str(int(number)).encode()).decode().rstrip("=")
 
 
 def _number(cursor: str) -> int:

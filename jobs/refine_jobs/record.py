@@ -136,6 +136,7 @@ class Job(BaseModel):
             id=self.id,
             state=self.state,
             options=self.spec["options"],
+            metadata=self.spec.get("metadata", {}),
             progress=self.progress,
             error=self.error,
             artifacts=list(self.artifacts),

@@ -32,6 +32,9 @@ class JobSettings(EnvironmentSettings):
     )
     pool: str = Field("default", pattern="^[a-z0-9-]+$", description="Workers of one pool share one queue.")
     retention_s: float = Field(86_400, gt=0, description="From the end of a job to the removal of its data.")
+    max_retention_s: float = Field(
+        30 * 86_400, gt=0, description="Longest lifetime, from now on, that a caller may ask for."
+    )
     tombstone_s: float = Field(7 * 86_400, gt=0, description="How long an expired id still answers 410.")
     idempotency_s: float = Field(86_400, gt=0, description="How long an idempotency key is remembered.")
     sync_submissions: bool = Field(

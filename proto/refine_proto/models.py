@@ -29,6 +29,7 @@ from .checks import Reading as Reading
 from .checks import Severity as Severity
 from .formats import MAX_VIEWS, SILHOUETTE_THRESHOLD
 from .formats import MeshFormat as MeshFormat
+from .metadata import Metadata as Metadata
 from .open_enum import OpenEnum, of_newer_version
 from .strict import Input, Number, Positive
 from .webhooks import Webhook as Webhook
@@ -162,6 +163,7 @@ class RefinementSpec(Input):
         description="Further views, in the order of their files silhouette_2, silhouette_3, ...",
     )
     webhook: Webhook | None = Field(None, description="Who is told of the end.")
+    metadata: Metadata = Field({}, description="Yours, to find it again: up to 20 pairs.")
 
     @model_validator(mode="after")
     def _one_projection(self) -> Self:
@@ -342,6 +344,7 @@ class Refinement(Output):
         None, description="The one that was used; unset: none was, or there is no result."
     )
     camera_correction: CameraCorrection | None = Field(None, description="With `correct_camera` only.")
+    metadata: dict[str, str] = Field({}, description="As it was submitted.")
     webhook_deliveries: list[WebhookDelivery] = Field([], description="Attempts so far, oldest first.")
 
     @field_validator("options", mode="before")

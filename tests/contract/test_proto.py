@@ -147,6 +147,7 @@ def a_refinement() -> models.Refinement:
         attempt=1,
         checks=[a_finding()],
         urls=models.RefinementUrls(refinement="/a", events="/b", cancel="/c"),
+        metadata={"set": "chairs", "n": "3"},
         webhook_deliveries=[
             models.WebhookDelivery(attempt=1, time=now, status=503, error="e", next_attempt_at=now),
             models.WebhookDelivery(attempt=2, time=now, status=204),
@@ -186,7 +187,9 @@ CAMERAS: list[dict[str, Any]] = [
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_a_spec_survives_the_wire(camera: dict[str, Any]) -> None:
     webhook = {"url": "https://example.com/hook", "events": ["failed", "cancelled"]}
-    spec = models.RefinementSpec.model_validate({"camera": camera, "mesh_format": "glb", "webhook": webhook})
+    spec = models.RefinementSpec.model_validate(
+        {"camera": camera, "mesh_format": "glb", "webhook": webhook, "metadata": {"set": "chairs", "n": ""}}
+    )
     message = to_message(spec, pb.RefinementSpec)
     assert message.camera.WhichOneof("type") == camera["type"]
     assert to_model(message, models.RefinementSpec) == spec
@@ -294,6 +297,24 @@ def test_a_bad_spec_is_named(part: str, value: Any, reason: str, pointer: str, s
     error = from_validation(caught.value.errors())
     assert (error.reason, error.errors[0].pointer) == (reason, pointer)
     assert says in error.errors[0].detail
+
+
+@pytest.mark.parametrize(
+    ("metadata", "says"),
+    [
+        ({"a b": "c"}, "pattern"),
+        ({"": "c"}, "pattern"),
+        ({"a": "c" * 513}, "512"),
+        ({"a": 3}, "string"),
+        ({str(n): "" for n in range(21)}, "20"),
+    ],
+)
+def test_metadata_are_few_and_short(metadata: Any, says: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        models.RefinementSpec.model_validate({"camera": LOOK_AT, "metadata": metadata})
+    error = from_validation(caught.value.errors())
+    assert (error.reason, error.errors[0].pointer[:9]) == ("INPUT_INVALID", "/metadata")
+    assert says in error.detail
 
 
 def test_errors_in_several_parts_are_all_listed() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from judgement import JUDGEMENT
 
-from refine_jobs import keys
+from refine_jobs import edge_store, keys
 from refine_jobs.edge_store import JobStore
 from refine_jobs.reaper import reap
 from refine_jobs.scripts import Scripts
@@ -26,6 +26,7 @@ from refine_proto.errors import (
     QueueFull,
     QuotaExceeded,
 )
+from refine_proto.lists import RefinementFilter
 from refine_proto.models import Artifact, Event, Progress, RefinementSpec, State
 
 if TYPE_CHECKING:
@@ -456,6 +457,29 @@ def test_a_deletion_that_meets_the_reaper_leaves_the_tombstone(jobs: Jobs, clock
                 await store.delete("ann", job_id)
 
     asyncio.run(scenario())
+
+
+def test_a_page_of_a_rare_kind_is_short_and_the_next_goes_on(
+    jobs: Jobs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(edge_store, "_LOOK", 3)
+    monkeypatch.setattr(edge_store, "_MOST_LOOKS", 2)
+    wanted = RefinementFilter.model_validate({"state": "cancelled"})
+
+    async def check() -> None:
+        async with jobs.edge() as store:
+            ids = [(await jobs.submit(store)).refinement.id for _ in range(14)]
+            for rare in (ids[0], ids[1], ids[9]):
+                await store.cancel("ann", rare)
+            pages: list[list[str]] = []
+            cursor = None
+            while not pages or cursor:
+                page = await store.list("ann", 2, cursor, wanted)
+                pages.append([item.id for item in page.refinements])
+                cursor = page.next_cursor
+            assert pages == [[ids[9]], [], [ids[1], ids[0]]]
+
+    asyncio.run(check())
 
 
 def test_lists_page_newest_first_and_show_only_the_owners(jobs: Jobs) -> None:

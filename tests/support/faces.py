@@ -11,6 +11,7 @@ from refine_proto.models import Event
 
 class Face(Protocol):
     def call(self, method: str, *arguments: Any, **more: Any) -> Any: ...
+    def all(self, method: str, *arguments: Any, **more: Any) -> list[Any]: ...
     def watch(self, refinement_id: str, **more: Any) -> list[Event]: ...
 
 
@@ -21,8 +22,11 @@ class SyncFace:
     def call(self, method: str, *arguments: Any, **more: Any) -> Any:
         return getattr(self._client, method)(*arguments, **more)
 
+    def all(self, method: str, *arguments: Any, **more: Any) -> list[Any]:
+        return list(getattr(self._client, method)(*arguments, **more))
+
     def watch(self, refinement_id: str, **more: Any) -> list[Event]:
-        return list(self._client.watch(refinement_id, **more))
+        return self.all("watch", refinement_id, **more)
 
 
 class AsyncFace:
@@ -35,8 +39,11 @@ class AsyncFace:
     def call(self, method: str, *arguments: Any, **more: Any) -> Any:
         return self._runner.run(getattr(self._client, method)(*arguments, **more))
 
-    def watch(self, refinement_id: str, **more: Any) -> list[Event]:
-        async def collect() -> list[Event]:
-            return [event async for event in self._client.watch(refinement_id, **more)]
+    def all(self, method: str, *arguments: Any, **more: Any) -> list[Any]:
+        async def collect() -> list[Any]:
+            return [item async for item in getattr(self._client, method)(*arguments, **more)]
 
         return self._runner.run(collect())
+
+    def watch(self, refinement_id: str, **more: Any) -> list[Event]:
+        return self.all("watch", refinement_id, **more)

@@ -111,7 +111,7 @@ class _Handler(BaseHTTPRequestHandler):
             found[name] = content if b"filename=" in head else content.decode()
         return found | {
             name: json.loads(found[name])
-            for name in ("camera", "options", "views", "webhook")
+            for name in ("camera", "options", "views", "webhook", "metadata")
             if name in found
         }
 

@@ -1,15 +1,17 @@
-"""`refine get | list | cancel | delete | download`: refinements by their ids."""
+"""`refine get | list | extend | cancel | delete | download`: refinements by their ids."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 
 from refine_proto.commands.ending import Parser
-from refine_proto.models import Refinement
+from refine_proto.models import Refinement, State
 
-from .server_command import command, connect, make_parser
+from .server_command import add_metadata, command, connect, make_parser, read_metadata
 
 
 def get_parser() -> Parser:
@@ -27,10 +29,16 @@ def get_command(argv: Sequence[str]) -> None:
 
 def list_parser() -> Parser:
     """The arguments of `refine list`."""
-    parser = make_parser(
-        "list", "List your refinements, newest first.", "  refine list --limit 100 --json | jq -r .id"
+    example = (
+        "  refine list --state failed --metadata set=chairs\n  refine list --limit 100 --json | jq -r .id"
     )
+    parser = make_parser("list", "List your refinements, newest first.", example)
     parser.add_argument("--limit", type=int, default=20, metavar="N", help="how many (20)")
+    parser.add_argument(
+        "--state", action="append", default=[], choices=list(State), metavar="STATE",
+        help=f"only those that are {', '.join(State)}, as often as there are any",
+    )  # fmt: skip
+    add_metadata(parser, "only those with this pair")
     return parser
 
 
@@ -41,15 +49,27 @@ def list_command(argv: Sequence[str]) -> None:
     arguments = parser.parse_args(argv)
     if arguments.limit < 1:
         parser.error(f"expected --limit of at least 1, got {arguments.limit}")
-    left, cursor = arguments.limit, None
     with connect(arguments) as client:
-        while left > 0:
-            page = client.list(limit=min(left, 100), cursor=cursor)
-            for refinement in page.refinements[:left]:
-                print(refinement.model_dump_json(exclude_none=True) if arguments.json else _line(refinement))
-            left, cursor = left - len(page.refinements), page.next_cursor
-            if cursor is None:
-                break
+        found = client.list_all(state=arguments.state, metadata=read_metadata(arguments))
+        for refinement in islice(found, arguments.limit):
+            print(refinement.model_dump_json(exclude_none=True) if arguments.json else _line(refinement))
+
+
+def extend_parser() -> Parser:
+    """The arguments of `refine extend`."""
+    parser = _with_id("extend", "Keep an ended refinement and its files for longer, or shorter, than usual.")
+    parser.add_argument(
+        "--lifetime-s", type=float, required=True, metavar="S", help="seconds from now until they are removed"
+    )
+    return parser
+
+
+@command
+def extend_command(argv: Sequence[str]) -> None:
+    """Run `refine extend`."""
+    arguments = extend_parser().parse_args(argv)
+    with connect(arguments) as client:
+        _show(client.extend(arguments.id, arguments.lifetime_s), arguments.json)
 
 
 def cancel_parser() -> Parser:
@@ -106,11 +126,26 @@ def _with_id(name: str, description: str) -> Parser:
 
 
 def _line(refinement: Refinement) -> str:
-    created = refinement.created_at.astimezone().strftime("%Y-%m-%d %H:%M:%S")
-    percent = refinement.progress.percent if refinement.progress is not None else 0.0
-    done = f"{percent:4.0f} %" if not refinement.state.terminal else ""
-    reason = refinement.error.reason if refinement.error is not None else ""
-    return f"{refinement.id}  {created}  {refinement.state:<10}{done}{reason}".rstrip()
+    """Id, age, state, preset, then what is known of it."""
+    iou, progress, error = refinement.silhouette_iou, refinement.progress, refinement.error
+    known = ""
+    if not refinement.state.terminal:
+        known = f"{progress.percent if progress is not None else 0.0:.0f} %"
+    elif iou is not None:
+        known = f"2D IoU {iou.before:.3f} -> {iou.after:.3f}"
+    elif error is not None:
+        known = error.reason
+    preset = refinement.options.preset
+    return f"{refinement.id}  {_age(refinement):>6}  {refinement.state:<10} {preset:<8} {known}".rstrip()
+
+
+def _age(refinement: Refinement) -> str:
+    """Since its submission, in the largest unit of which there are two."""
+    seconds = max(0, int((datetime.now(UTC) - refinement.created_at).total_seconds()))
+    for unit, length in (("d", 86_400), ("h", 3_600), ("min", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds // length} {unit}"
+    return f"{seconds} s"
 
 
 def _show(refinement: Refinement, as_json: bool) -> None:
@@ -128,6 +163,7 @@ def _show(refinement: Refinement, as_json: bool) -> None:
         "outcome": refinement.outcome,
         "mirror": plane and f"{_numbers(plane.normal)} . x = {plane.offset:.4g}",
         "camera": turn and f"turned by {turn.turn_degrees:.1f} degrees",
+        "metadata": ", ".join(f"{key}={value}" for key, value in refinement.metadata.items()),
         "warnings": "\n           ".join(refinement.warnings),
         "webhook": _deliveries(refinement),
         "created": refinement.created_at.isoformat(timespec="seconds"),

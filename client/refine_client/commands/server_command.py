@@ -8,6 +8,7 @@ from functools import wraps
 
 from refine_proto.commands.ending import BAD_INPUT, FAILED, Parser, fail
 from refine_proto.errors import InvalidInput, RefineError, Refused
+from refine_proto.lists import read_pairs
 
 from ..address import DEFAULT_SERVER
 from ..client import RefineClient
@@ -32,6 +33,18 @@ def make_parser(command: str, description: str, example: str) -> Parser:
     parser.add_argument("--server", metavar="URL", help="where the service is, see below")
     parser.add_argument("--json", action="store_true", help="print JSON for programs, one object per line")
     return parser
+
+
+def add_metadata(parser: Parser, purpose: str) -> None:
+    """--metadata, as often as there are pairs."""
+    parser.add_argument(
+        "--metadata", action="append", default=[], metavar="KEY=VALUE", help=f"{purpose}, any number of them"
+    )
+
+
+def read_metadata(arguments: argparse.Namespace) -> dict[str, str]:
+    """The pairs that the arguments say; InvalidInput."""
+    return read_pairs(arguments.metadata)
 
 
 def connect(arguments: argparse.Namespace) -> RefineClient:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from refine_proto.errors import InvalidInput
 from refine_proto.models import MeshFormat, WebhookEvent
 
 from ..upload import View
-from .server_command import command, connect, make_parser
+from .server_command import add_metadata, command, connect, make_parser, read_metadata
 from .watch import see_through
 
 EXAMPLE = """\
@@ -45,6 +46,7 @@ def submit_command(argv: Sequence[str]) -> None:
             views=further,
             mesh_format=arguments.mesh_format,
             webhook=_webhook(arguments),
+            metadata=read_metadata(arguments),
             idempotency_key=arguments.idempotency_key,
         )
         if not arguments.wait and arguments.output is None:
@@ -53,11 +55,16 @@ def submit_command(argv: Sequence[str]) -> None:
         try:
             see_through(client, refinement, arguments.json, arguments.output)
         except KeyboardInterrupt:
-            print(
-                f"the refinement goes on; refine watch {refinement.id}, or refine cancel {refinement.id}",
-                file=sys.stderr,
+            again, stop = (
+                f"refine watch {refinement.id}{_output(arguments)}",
+                f"refine cancel {refinement.id}",
             )
+            print(f"the refinement goes on; {again}, or {stop}", file=sys.stderr)
             raise
+
+
+def _output(arguments: argparse.Namespace) -> str:
+    return f" -o {shlex.quote(str(arguments.output))}" if arguments.output is not None else ""
 
 
 def read_view_files(arguments: argparse.Namespace) -> list[View]:
@@ -88,6 +95,7 @@ def submit_parser() -> Parser:
     parser.add_argument(
         "--idempotency-key", metavar="KEY", help="the same key and content give the same refinement"
     )
+    add_metadata(parser, "to find it again")
     parser.add_argument("--webhook", metavar="URL", help="https address that is told of the end")
     parser.add_argument(
         "--webhook-event", dest="webhook_events", action="append", choices=list(WebhookEvent),

@@ -15,6 +15,7 @@ from .server_command import command, connect, make_parser
 
 EXAMPLE = """\
   refine watch ID
+  refine watch ID -o out     after `refine submit` was stopped, or on another machine
   refine watch ID --json | jq -r 'select(.type == "progress") | .progress.percent'
 """
 
@@ -23,6 +24,7 @@ def watch_parser() -> Parser:
     """The arguments of `refine watch`."""
     parser = make_parser("watch", "Follow a refinement to its end; fails if it does.", EXAMPLE)
     parser.add_argument("id", metavar="ID")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="then download all artifacts")
     return parser
 
 
@@ -30,8 +32,10 @@ def watch_parser() -> Parser:
 def watch_command(argv: Sequence[str]) -> None:
     """Run `refine watch`."""
     arguments = watch_parser().parse_args(argv)
+    if arguments.output is not None:
+        arguments.output.mkdir(parents=True, exist_ok=True)  # before the job's end, not after it
     with connect(arguments) as client:
-        see_through(client, client.get(arguments.id), arguments.json, None)
+        see_through(client, client.get(arguments.id), arguments.json, arguments.output)
 
 
 def see_through(client: RefineClient, refinement: Refinement, as_json: bool, output: Path | None) -> None:

@@ -16,6 +16,7 @@ from refine_proto import errors
 from refine_proto.convert import to_message, to_model
 from refine_proto.errors import RefineError, ServerError
 from refine_proto.formats import MESH, SILHOUETTE
+from refine_proto.lists import RefinementFilter
 from refine_proto.models import Artifact, Event, EventType
 from refine_proto.status import STATUS_KEY, from_status
 from refine_proto.tracing import current_traceparent
@@ -71,6 +72,15 @@ def create(upload: Upload, files: Mapping[str, OpenFile]) -> Iterator[refine_pb2
                 yield request(silhouette_chunk=chunk)
             else:
                 yield request(file_chunk=refine_pb2.FileChunk(part=name, data=chunk))
+
+
+def list_(
+    limit: int | None, cursor: str | None, wanted: RefinementFilter
+) -> refine_pb2.ListRefinementsRequest:
+    states = [state.upper() for state in wanted.state]
+    return refine_pb2.ListRefinementsRequest(
+        limit=limit, cursor=cursor, state=states, metadata=wanted.metadata
+    )
 
 
 def transfer_s(connection: Connection, size_bytes: int) -> float:

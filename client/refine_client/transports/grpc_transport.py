@@ -9,6 +9,7 @@ from typing import Any
 import grpc
 from google.protobuf.message import Message
 
+from refine_proto.lists import Lifetime, RefinementFilter
 from refine_proto.models import Artifact, Event, Refinement, RefinementPage, Validation
 from refine_proto.v1 import refine_pb2
 from refine_proto.v1.refine_pb2_grpc import RefinementsStub
@@ -52,9 +53,13 @@ class GrpcTransport:
         request = refine_pb2.GetRefinementRequest(id=refinement_id)
         return grpc_messages.parse(self._call(self._stub.GetRefinement, request), Refinement)
 
-    def list(self, limit: int | None, cursor: str | None) -> RefinementPage:
-        request = refine_pb2.ListRefinementsRequest(limit=limit, cursor=cursor)
+    def list(self, limit: int | None, cursor: str | None, wanted: RefinementFilter) -> RefinementPage:
+        request = grpc_messages.list_(limit, cursor, wanted)
         return grpc_messages.parse(self._call(self._stub.ListRefinements, request), RefinementPage)
+
+    def extend(self, refinement_id: str, lifetime: Lifetime) -> Refinement:
+        request = refine_pb2.ExtendRefinementRequest(id=refinement_id, lifetime_s=lifetime.lifetime_s)
+        return grpc_messages.parse(self._call(self._stub.ExtendRefinement, request), Refinement)
 
     def cancel(self, refinement_id: str) -> Refinement:
         request = refine_pb2.CancelRefinementRequest(id=refinement_id)
@@ -146,9 +151,13 @@ class AsyncGrpcTransport:
         request = refine_pb2.GetRefinementRequest(id=refinement_id)
         return grpc_messages.parse(await self._call(self._stub.GetRefinement, request), Refinement)
 
-    async def list(self, limit: int | None, cursor: str | None) -> RefinementPage:
-        request = refine_pb2.ListRefinementsRequest(limit=limit, cursor=cursor)
+    async def list(self, limit: int | None, cursor: str | None, wanted: RefinementFilter) -> RefinementPage:
+        request = grpc_messages.list_(limit, cursor, wanted)
         return grpc_messages.parse(await self._call(self._stub.ListRefinements, request), RefinementPage)
+
+    async def extend(self, refinement_id: str, lifetime: Lifetime) -> Refinement:
+        request = refine_pb2.ExtendRefinementRequest(id=refinement_id, lifetime_s=lifetime.lifetime_s)
+        return grpc_messages.parse(await self._call(self._stub.ExtendRefinement, request), Refinement)
 
     async def cancel(self, refinement_id: str) -> Refinement:
         request = refine_pb2.CancelRefinementRequest(id=refinement_id)

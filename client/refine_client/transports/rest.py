@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 import httpx
 
+from refine_proto.lists import Lifetime, RefinementFilter
 from refine_proto.models import Artifact, Event, EventType, Refinement, RefinementPage, Validation
 
 from ..address import Connection
@@ -38,8 +39,14 @@ class RestTransport:
     def get(self, refinement_id: str) -> Refinement:
         return rest_messages.parse(self._send(rest_messages.get(refinement_id)), Refinement)
 
-    def list(self, limit: int | None, cursor: str | None) -> RefinementPage:
-        return rest_messages.parse(self._send(rest_messages.list_(limit, cursor)), RefinementPage)
+    def list(self, limit: int | None, cursor: str | None, wanted: RefinementFilter) -> RefinementPage:
+        response = self._send(rest_messages.list_(limit, cursor, wanted))
+        return rest_messages.parse(response, RefinementPage)
+
+    def extend(self, refinement_id: str, lifetime: Lifetime) -> Refinement:
+        return rest_messages.parse(
+            self._send(rest_messages.extend(refinement_id), json=lifetime.model_dump()), Refinement
+        )
 
     def cancel(self, refinement_id: str) -> Refinement:
         return rest_messages.parse(self._send(rest_messages.cancel(refinement_id)), Refinement)
@@ -118,8 +125,14 @@ class AsyncRestTransport:
     async def get(self, refinement_id: str) -> Refinement:
         return rest_messages.parse(await self._send(rest_messages.get(refinement_id)), Refinement)
 
-    async def list(self, limit: int | None, cursor: str | None) -> RefinementPage:
-        return rest_messages.parse(await self._send(rest_messages.list_(limit, cursor)), RefinementPage)
+    async def list(self, limit: int | None, cursor: str | None, wanted: RefinementFilter) -> RefinementPage:
+        response = await self._send(rest_messages.list_(limit, cursor, wanted))
+        return rest_messages.parse(response, RefinementPage)
+
+    async def extend(self, refinement_id: str, lifetime: Lifetime) -> Refinement:
+        return rest_messages.parse(
+            await self._send(rest_messages.extend(refinement_id), json=lifetime.model_dump()), Refinement
+        )
 
     async def cancel(self, refinement_id: str) -> Refinement:
         return rest_messages.parse(await self._send(rest_messages.cancel(refinement_id)), Refinement)

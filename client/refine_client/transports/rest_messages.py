@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 
 from refine_proto import errors
 from refine_proto.errors import InvalidInput, NotFound, RefineError, ServerError, from_problem
+from refine_proto.lists import RefinementFilter
 from refine_proto.models import Artifact, Event, EventType, ProblemDetails
 from refine_proto.tracing import current_traceparent
 
@@ -51,7 +52,7 @@ class Request:
 
     method: str
     path: str
-    params: Mapping[str, str] = field(default_factory=dict)
+    params: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
 
     def arguments(self, connection: Connection) -> dict[str, Any]:
@@ -80,7 +81,7 @@ def validate() -> Request:
 def parts(upload: Upload, files: Mapping[str, OpenFile]) -> list[Part]:
     """The multipart body: what is small first, so that a server can refuse before the files come."""
     spec = upload.spec.model_dump(mode="json", exclude_none=True)
-    names = [name for name in ("camera", "options", "views", "webhook") if spec.get(name)]
+    names = [name for name in ("camera", "options", "views", "webhook", "metadata") if spec.get(name)]
     fields = [(name, (None, json.dumps(spec[name]), "application/json")) for name in names]
     if upload.spec.mesh_format is not None:
         fields.append(("mesh_format", (None, str(upload.spec.mesh_format), "text/plain")))
@@ -92,9 +93,18 @@ def get(refinement_id: str) -> Request:
     return Request("GET", _path(refinement_id))
 
 
-def list_(limit: int | None, cursor: str | None) -> Request:
-    params = {"limit": None if limit is None else str(limit), "cursor": cursor}
-    return Request("GET", "/v1/refinements", {name: v for name, v in params.items() if v is not None})
+def list_(limit: int | None, cursor: str | None, wanted: RefinementFilter) -> Request:
+    params: dict[str, str | Sequence[str] | None] = {
+        "limit": None if limit is None else str(limit),
+        "cursor": cursor,
+        "state": wanted.state,
+        "metadata": [f"{key}={value}" for key, value in wanted.metadata.items()],
+    }
+    return Request("GET", "/v1/refinements", {name: value for name, value in params.items() if value})
+
+
+def extend(refinement_id: str) -> Request:
+    return Request("PATCH", _path(refinement_id))
 
 
 def cancel(refinement_id: str) -> Request:

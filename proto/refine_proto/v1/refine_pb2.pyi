@@ -204,7 +204,7 @@ class Intrinsics(_message.Message):
     def __init__(self, fx: _Optional[float] = ..., fy: _Optional[float] = ..., cx: _Optional[float] = ..., cy: _Optional[float] = ..., width: _Optional[int] = ..., height: _Optional[int] = ...) -> None: ...
 
 class RefinementSpec(_message.Message):
-    __slots__ = ("camera", "options", "mesh_format", "views", "webhook")
+    __slots__ = ("camera", "options", "mesh_format", "views", "webhook", "metadata")
     class MeshFormat(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         MESH_FORMAT_UNSPECIFIED: _ClassVar[RefinementSpec.MeshFormat]
@@ -227,17 +227,26 @@ class RefinementSpec(_message.Message):
     ZIP: RefinementSpec.MeshFormat
     BINVOX: RefinementSpec.MeshFormat
     NPZ: RefinementSpec.MeshFormat
+    class MetadataEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
     MESH_FORMAT_FIELD_NUMBER: _ClassVar[int]
     VIEWS_FIELD_NUMBER: _ClassVar[int]
     WEBHOOK_FIELD_NUMBER: _ClassVar[int]
+    METADATA_FIELD_NUMBER: _ClassVar[int]
     camera: CameraSpec
     options: RefinementOptions
     mesh_format: RefinementSpec.MeshFormat
     views: _containers.RepeatedCompositeFieldContainer[View]
     webhook: Webhook
-    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., mesh_format: _Optional[_Union[RefinementSpec.MeshFormat, str]] = ..., views: _Optional[_Iterable[_Union[View, _Mapping]]] = ..., webhook: _Optional[_Union[Webhook, _Mapping]] = ...) -> None: ...
+    metadata: _containers.ScalarMap[str, str]
+    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., mesh_format: _Optional[_Union[RefinementSpec.MeshFormat, str]] = ..., views: _Optional[_Iterable[_Union[View, _Mapping]]] = ..., webhook: _Optional[_Union[Webhook, _Mapping]] = ..., metadata: _Optional[_Mapping[str, str]] = ...) -> None: ...
 
 class View(_message.Message):
     __slots__ = ("camera",)
@@ -264,7 +273,7 @@ class Webhook(_message.Message):
     def __init__(self, url: _Optional[str] = ..., events: _Optional[_Iterable[_Union[Webhook.Event, str]]] = ...) -> None: ...
 
 class Refinement(_message.Message):
-    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction", "checks", "webhook_deliveries")
+    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction", "checks", "metadata", "webhook_deliveries")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Refinement.State]
@@ -293,6 +302,13 @@ class Refinement(_message.Message):
     REFINED: Refinement.Outcome
     FITTED: Refinement.Outcome
     KEPT: Refinement.Outcome
+    class MetadataEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
     ID_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     OPTIONS_FIELD_NUMBER: _ClassVar[int]
@@ -312,6 +328,7 @@ class Refinement(_message.Message):
     MIRROR_PLANE_FIELD_NUMBER: _ClassVar[int]
     CAMERA_CORRECTION_FIELD_NUMBER: _ClassVar[int]
     CHECKS_FIELD_NUMBER: _ClassVar[int]
+    METADATA_FIELD_NUMBER: _ClassVar[int]
     WEBHOOK_DELIVERIES_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: Refinement.State
@@ -332,8 +349,9 @@ class Refinement(_message.Message):
     mirror_plane: MirrorPlane
     camera_correction: CameraCorrection
     checks: _containers.RepeatedCompositeFieldContainer[Finding]
+    metadata: _containers.ScalarMap[str, str]
     webhook_deliveries: _containers.RepeatedCompositeFieldContainer[WebhookDelivery]
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., webhook_deliveries: _Optional[_Iterable[_Union[WebhookDelivery, _Mapping]]] = ...) -> None: ...
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., metadata: _Optional[_Mapping[str, str]] = ..., webhook_deliveries: _Optional[_Iterable[_Union[WebhookDelivery, _Mapping]]] = ...) -> None: ...
 
 class WebhookDelivery(_message.Message):
     __slots__ = ("attempt", "time", "status", "error", "next_attempt_at")
@@ -564,12 +582,31 @@ class GetRefinementRequest(_message.Message):
     def __init__(self, id: _Optional[str] = ...) -> None: ...
 
 class ListRefinementsRequest(_message.Message):
-    __slots__ = ("limit", "cursor")
+    __slots__ = ("limit", "cursor", "state", "metadata")
+    class MetadataEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
     LIMIT_FIELD_NUMBER: _ClassVar[int]
     CURSOR_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    METADATA_FIELD_NUMBER: _ClassVar[int]
     limit: int
     cursor: str
-    def __init__(self, limit: _Optional[int] = ..., cursor: _Optional[str] = ...) -> None: ...
+    state: _containers.RepeatedScalarFieldContainer[Refinement.State]
+    metadata: _containers.ScalarMap[str, str]
+    def __init__(self, limit: _Optional[int] = ..., cursor: _Optional[str] = ..., state: _Optional[_Iterable[_Union[Refinement.State, str]]] = ..., metadata: _Optional[_Mapping[str, str]] = ...) -> None: ...
+
+class ExtendRefinementRequest(_message.Message):
+    __slots__ = ("id", "lifetime_s")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    LIFETIME_S_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    lifetime_s: float
+    def __init__(self, id: _Optional[str] = ..., lifetime_s: _Optional[float] = ...) -> None: ...
 
 class WatchRefinementRequest(_message.Message):
     __slots__ = ("id", "after_sequence")

@@ -67,6 +67,11 @@ class RefinementsStub(object):
                 request_serializer=refine__proto_dot_v1_dot_refine__pb2.CancelRefinementRequest.SerializeToString,
                 response_deserializer=refine__proto_dot_v1_dot_refine__pb2.Refinement.FromString,
                 _registered_method=True)
+        self.ExtendRefinement = channel.unary_unary(
+                '/refine.v1.Refinements/ExtendRefinement',
+                request_serializer=refine__proto_dot_v1_dot_refine__pb2.ExtendRefinementRequest.SerializeToString,
+                response_deserializer=refine__proto_dot_v1_dot_refine__pb2.Refinement.FromString,
+                _registered_method=True)
         self.DeleteRefinement = channel.unary_unary(
                 '/refine.v1.Refinements/DeleteRefinement',
                 request_serializer=refine__proto_dot_v1_dot_refine__pb2.DeleteRefinementRequest.SerializeToString,
@@ -126,6 +131,13 @@ class RefinementsServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ExtendRefinement(self, request, context):
+        """An ended refinement and its bytes are kept for `lifetime_s` from now on; FAILED_PRECONDITION before its end.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def DeleteRefinement(self, request, context):
         """Removes the record and its bytes; FAILED_PRECONDITION while it is running.
         """
@@ -171,6 +183,11 @@ def add_RefinementsServicer_to_server(servicer, server):
             'CancelRefinement': grpc.unary_unary_rpc_method_handler(
                     servicer.CancelRefinement,
                     request_deserializer=refine__proto_dot_v1_dot_refine__pb2.CancelRefinementRequest.FromString,
+                    response_serializer=refine__proto_dot_v1_dot_refine__pb2.Refinement.SerializeToString,
+            ),
+            'ExtendRefinement': grpc.unary_unary_rpc_method_handler(
+                    servicer.ExtendRefinement,
+                    request_deserializer=refine__proto_dot_v1_dot_refine__pb2.ExtendRefinementRequest.FromString,
                     response_serializer=refine__proto_dot_v1_dot_refine__pb2.Refinement.SerializeToString,
             ),
             'DeleteRefinement': grpc.unary_unary_rpc_method_handler(
@@ -347,6 +364,33 @@ class Refinements(object):
             target,
             '/refine.v1.Refinements/CancelRefinement',
             refine__proto_dot_v1_dot_refine__pb2.CancelRefinementRequest.SerializeToString,
+            refine__proto_dot_v1_dot_refine__pb2.Refinement.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ExtendRefinement(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/refine.v1.Refinements/ExtendRefinement',
+            refine__proto_dot_v1_dot_refine__pb2.ExtendRefinementRequest.SerializeToString,
             refine__proto_dot_v1_dot_refine__pb2.Refinement.FromString,
             options,
             channel_credentials,

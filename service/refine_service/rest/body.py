@@ -19,7 +19,7 @@ from ..edge.submit import Upload, filled_file, new_file, receiving
 from ..settings import ServiceSettings
 
 _FILES = (MESH, *IMAGE_PARTS)
-_JSON_FIELDS = ("camera", "options", "views", "webhook")
+_JSON_FIELDS = ("camera", "options", "views", "webhook", "metadata")
 _MAX_FIELDS = 32  # more than there are: an unknown one is named, not counted
 _FIELD_BYTES = 64 * 1024
 _FRAMING_BYTES = 2**20  # of a multipart body around its files
@@ -124,6 +124,7 @@ def _parse_json(body: BinaryIO) -> Upload:
         mesh_format=parsed.mesh_format,
         views=[View(camera=view.camera) for view in parsed.views],
         webhook=parsed.webhook,
+        metadata=parsed.metadata,
     )
     images = {
         of_view(part, number): getattr(view, part)

@@ -12,6 +12,7 @@ from fastapi.responses import Response
 from refine_jobs.record import Task
 from refine_proto.errors import Conflict, from_problem
 from refine_proto.formats import ARTIFACTS, ArtifactName
+from refine_proto.lists import Lifetime, make_filter, read_pairs
 from refine_proto.models import Refinement, RefinementPage, State, Validation
 
 from ..edge.artifacts import find_artifact
@@ -97,9 +98,11 @@ async def list_refinements(
     call: CallHere,
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
     cursor: Annotated[str | None, Query(description="`next_cursor` of the page before.")] = None,
+    state: Annotated[tuple[str, ...], Query(description="Those in one of these states.")] = (),
+    metadata: Annotated[tuple[str, ...], Query(description="KEY=VALUE: those with all of these.")] = (),
 ) -> RefinementPage:
-    """The caller's refinements, newest first."""
-    page = await edge.store.list(call.owner, limit, cursor)
+    """The caller's refinements, newest first. With a filter a page may be short: follow its cursor."""
+    page = await edge.store.list(call.owner, limit, cursor, make_filter(state, read_pairs(metadata)))
     return page.model_copy(update={"refinements": [with_urls(item) for item in page.refinements]})
 
 
@@ -120,6 +123,15 @@ async def cancel_refinement(refinement_id: str, edge: EdgeHere, call: CallHere) 
     refinement = with_urls(await edge.store.cancel(call.owner, refinement_id))
     status = 200 if refinement.state.terminal else 202
     return Response(refinement.model_dump_json(), status, media_type="application/json")
+
+
+@router.patch("/{refinement_id}", responses=problems(401, 404, 409, 410, 422, 429, 503))
+async def extend_refinement(
+    refinement_id: str, lifetime: Lifetime, edge: EdgeHere, call: CallHere
+) -> Refinement:
+    """Keep an ended refinement and its bytes for `lifetime_s` from now on; 409 before its end."""
+    call.job_id = refinement_id
+    return with_urls(await edge.store.extend(call.owner, refinement_id, lifetime.lifetime_s))
 
 
 @router.delete("/{refinement_id}", status_code=204, responses=problems(401, 404, 409, 410, 422, 429, 503))

@@ -10,6 +10,7 @@ from google.protobuf.empty_pb2 import Empty
 from refine_jobs.record import Task
 from refine_proto.convert import to_message
 from refine_proto.errors import InvalidInput, RangeNotSatisfiable
+from refine_proto.lists import make_filter
 from refine_proto.models import FieldError, Validation
 from refine_proto.v1 import refine_pb2 as pb
 from refine_proto.v1.refine_pb2_grpc import RefinementsServicer
@@ -70,7 +71,10 @@ class Refinements(RefinementsServicer):
         limit = request.limit if request.HasField("limit") else _LIST_LIMIT
         if not 1 <= limit <= _MAX_LIST_LIMIT:
             raise _invalid("limit", f"expected a limit from 1 to {_MAX_LIST_LIMIT}, got {limit}")
-        page = await self._edge.store.list(CALL.get().owner, limit, request.cursor or None)
+        names = pb.Refinement.State.DESCRIPTOR.values_by_number
+        states = [names[n].name.lower() if n in names else str(n) for n in request.state]
+        wanted = make_filter(states, dict(request.metadata))
+        page = await self._edge.store.list(CALL.get().owner, limit, request.cursor or None, wanted)
         shown = page.model_copy(update={"refinements": [with_urls(item) for item in page.refinements]})
         return to_message(shown, pb.RefinementPage)
 
@@ -96,6 +100,14 @@ class Refinements(RefinementsServicer):
         """Cancelled at once, cancelling, or unchanged."""
         call = self._call_about(request.id)
         return to_message(with_urls(await self._edge.store.cancel(call.owner, request.id)), pb.Refinement)
+
+    async def ExtendRefinement(
+        self, request: pb.ExtendRefinementRequest, context: RpcContext
+    ) -> pb.Refinement:
+        """Keep an ended refinement for longer, or shorter."""
+        call = self._call_about(request.id)
+        extended = await self._edge.store.extend(call.owner, request.id, request.lifetime_s)
+        return to_message(with_urls(extended), pb.Refinement)
 
     async def DeleteRefinement(self, request: pb.DeleteRefinementRequest, context: RpcContext) -> Empty:
         """Remove record and bytes."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+from typing import Any, cast
+
 import grpc
 import httpx
 import pytest
@@ -72,6 +75,65 @@ def test_pages(client: RefineClient) -> None:
     pages = [[item.id for item in page.refinements] for page in (first, second, third)]
     assert pages == [sent[:2:-1], sent[2:0:-1], sent[:1]]
     assert third.next_cursor is None
+
+
+def test_a_list_of_some(client: RefineClient, hand: Hand) -> None:
+    marks = [{"set": "chairs", "n": "1"}, {"set": "chairs", "n": "2"}, {"set": "cars = fast", "n": "1"}, {}]
+    sent = [client.submit(MESH, PNG, CAMERA, mesh_format="obj", metadata=mark).id for mark in marks]
+    client.cancel(sent[1])
+    hand.start(sent[2])
+
+    def found(**wanted: Any) -> list[str]:
+        return [item.id for item in client.list_all(**wanted)]
+
+    assert client.get(sent[2]).metadata == marks[2]
+    assert found() == sent[::-1]
+    assert found(metadata={"set": "chairs"}) == [sent[1], sent[0]]
+    assert found(metadata={"set": "cars = fast", "n": "1"}) == [sent[2]]
+    assert found(metadata={"set": "chairs"}, state="queued") == [sent[0]]
+    assert found(state=["running", State.CANCELLED]) == [sent[2], sent[1]]
+    assert found(metadata={"set": "lamps"}) == []
+    first = client.list(limit=1, metadata={"n": "1"})
+    assert [item.id for item in first.refinements] == [sent[2]]
+    second = client.list(limit=1, metadata={"n": "1"}, cursor=first.next_cursor)
+    assert ([item.id for item in second.refinements], second.next_cursor) == ([sent[0]], None)
+
+
+def test_wrong_filters(service: Service, rest: httpx.Client) -> None:
+    for query, pointer in (
+        ("state=done", "/state"),
+        ("metadata=chairs", "/metadata"),
+        ("metadata=%20=a", "/metadata"),
+    ):
+        answer = rest.get(f"/v1/refinements?{query}")
+        assert answer.status_code == 422
+        assert answer.json()["errors"][0]["pointer"].startswith(pointer)
+    with grpc.insecure_channel(service.grpc_address) as channel:
+        for number in (0, 99):
+            state = cast(pb.Refinement.State, number)
+            with pytest.raises(grpc.RpcError, match="expected one of queued"):
+                RefinementsStub(channel).ListRefinements(pb.ListRefinementsRequest(state=[state]))
+
+
+def test_a_lifetime(client: RefineClient, hand: Hand) -> None:
+    refinement_id = submit(client).id
+    with pytest.raises(Conflict, match="queued"):
+        client.extend(refinement_id, 60)
+    hand.run(refinement_id, {"refined.glb": b"glTF"})
+    for lifetime_s in (10 * 86_400, 60):
+        extended = client.extend(refinement_id, lifetime_s)
+        left_s = (extended.expires_at - datetime.now(UTC)).total_seconds()
+        assert lifetime_s - 30 < left_s <= lifetime_s + 1
+        assert hand.redis.zscore(keys.EXPIRY, refinement_id) == extended.expires_at.timestamp() * 1000
+    for lifetime_s in (0, -1, 31 * 86_400):
+        with pytest.raises(InvalidInput) as caught:
+            client.extend(refinement_id, lifetime_s)
+        assert caught.value.errors[0].pointer == "/lifetime_s"
+    with pytest.raises(NotFound):
+        client.extend("unknown", 60)
+    hand.expire(refinement_id)
+    with pytest.raises(Expired):
+        client.extend(refinement_id, 60)
 
 
 def test_bad_pages(client: RefineClient) -> None:

@@ -74,6 +74,12 @@ def test_submit_names_who_is_told_of_the_end(submission: list[str], script: Scri
     assert upload["webhook"] == {"url": "https://example.com", "events": ["failed", "cancelled"]}
 
 
+def test_submit_writes_metadata(submission: list[str], script: Script, capsys: Output) -> None:
+    assert submit_command([*submission, "--metadata", "set=chairs", "--metadata", "n=1=2"]) == 0
+    (upload,) = script.uploads.values()
+    assert upload["metadata"] == {"set": "chairs", "n": "1=2"}
+
+
 def test_validate_prints_what_looks_wrong(submission: list[str], script: Script, capsys: Output) -> None:
     assert validate_command([*submission, "--checks", "strict", "--mesh-format", "obj"]) == 0
     printed, shown = capsys.readouterr()
@@ -207,10 +213,29 @@ def test_list_follows_the_pages(script: Script, capsys: Output) -> None:
     assert list_command(["--limit", "3"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
-    assert re.fullmatch(r"job-1  2026-01-0\d \d\d:\d\d:\d\d  succeeded", lines[0])
+    assert re.fullmatch(r"job-1 +\d+ d  succeeded  default  2D IoU 0\.500 -> 0\.900", lines[0])
     assert list_command(["--json"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [Refinement.model_validate_json(line).id for line in lines] == ["job-1"] * 4
+
+
+def test_list_says_how_far_and_why_not(script: Script, capsys: Output) -> None:
+    script.ends_in = State.RUNNING
+    assert list_command(["--limit", "1", "--state", "running", "--metadata", "set=chairs"]) == 0
+    assert re.fullmatch(r"job-1 +\d+ d  running    default  0 %\n", capsys.readouterr().out)
+    script.ends_in, script.error = State.FAILED, errors.Diverged("expected less, got more")
+    assert list_command(["--limit", "1"]) == 0
+    assert re.fullmatch(r"job-1 +\d+ d  failed     default  DIVERGED\n", capsys.readouterr().out)
+    assert list_command(["--metadata", "chairs"]) == 2
+    assert "expected KEY=VALUE, got 'chairs'" in capsys.readouterr().err
+
+
+def test_watch_fetches_what_a_stopped_submit_left(script: Script, tmp_path: Path, capsys: Output) -> None:
+    assert watch_command(["job-1", "-o", str(tmp_path / "out")]) == 0
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == ARTIFACTS
+    (tmp_path / "file").write_text("")
+    assert watch_command(["job-1", "-o", str(tmp_path / "file")]) != 0
+    assert len(script.seen("watch")) == 1
 
 
 def test_cancel_and_delete(script: Script, capsys: Output) -> None:

@@ -95,6 +95,13 @@ def test_get_list_cancel_delete(face: Face, script: Script) -> None:
     page = face.call("list", limit=1)
     assert ([r.id for r in page.refinements], page.next_cursor) == (["job-1"], "page-2")
     assert face.call("list", cursor=page.next_cursor).next_cursor is None
+    assert [r.id for r in face.all("list_all", state="succeeded", metadata={"set": "chairs"})] == [
+        "job-1"
+    ] * 4
+    with pytest.raises(errors.InvalidInput, match="expected one of queued"):
+        face.call("list", state=["done"])
+    with pytest.raises(errors.InvalidInput, match="pattern"):
+        face.call("list", metadata={"no key": ""})
     assert face.call("cancel", "job-1").state is State.CANCELLED
     face.call("delete", "job-1")
     assert script.deleted
