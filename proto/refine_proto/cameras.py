@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, field_validator, model_validator
+from typing_extensions import TypeAliasType  # of typing from Python 3.12 on
 
 from .network_cameras import DISTANCE_OF, PIXEL2MESH_FOV_DEGREES, SPHERES, Network
 from .strict import Input, Number, Positive, finite, short
@@ -264,10 +265,15 @@ def _plain(camera: PlainCamera | PyTorch3DCamera | NetworkCamera) -> PlainCamera
 if TYPE_CHECKING:
     CameraSpec = PlainCamera  # what reading gives
 else:
-    CameraSpec = Annotated[
-        Annotated[LookAtCamera | MatrixCamera | PyTorch3DCamera | NetworkCamera, Field(discriminator="type")],
-        AfterValidator(_plain),
-    ]
+    CameraSpec = TypeAliasType(  # a name, under which OpenAPI has it
+        "CameraSpec",
+        Annotated[
+            Annotated[
+                LookAtCamera | MatrixCamera | PyTorch3DCamera | NetworkCamera, Field(discriminator="type")
+            ],
+            AfterValidator(_plain),
+        ],
+    )
 """The camera that saw the silhouette, tagged by `type`, in any of its forms; once read, a PlainCamera."""
 CAMERA_SPEC: TypeAdapter[PlainCamera] = TypeAdapter(CameraSpec)
 """Reads one: `validate_json`, `validate_python`."""

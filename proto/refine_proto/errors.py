@@ -7,7 +7,7 @@ RefineError                  itself only for a reason that a newer server has
 │   └── IdempotencyKeyReused
 ├── Refused                  the request as such
 │   ├── Unauthenticated, NotFound, Expired, Conflict
-│   └── MethodNotAllowed, RangeNotSatisfiable
+│   └── MethodNotAllowed, NotReady, RangeNotSatisfiable
 ├── Busy                     try again after `retry_after_s`
 │   └── QuotaExceeded, QueueFull, Unavailable, Draining
 ├── CallFailed               the call itself failed; says nothing about a refinement
@@ -56,6 +56,7 @@ TABLE: Mapping[str, Status] = {
     "EXPIRED": Status("Expired", 410, "NOT_FOUND"),
     "CONFLICT": Status("Conflict with the current state", 409, "FAILED_PRECONDITION"),
     "METHOD_NOT_ALLOWED": Status("Method not allowed", 405, "UNIMPLEMENTED"),
+    "NOT_READY": Status("Not ready yet", 406, "FAILED_PRECONDITION"),
     "RANGE_NOT_SATISFIABLE": Status("Range not satisfiable", 416, "OUT_OF_RANGE"),
     "QUOTA_EXCEEDED": Status("Quota exceeded", 429, "RESOURCE_EXHAUSTED", retryable=True),
     "QUEUE_FULL": Status("Queue full", 503, "UNAVAILABLE", retryable=True),
@@ -179,6 +180,10 @@ class Conflict(Refused):
 
 class MethodNotAllowed(Refused):
     default_reason = "METHOD_NOT_ALLOWED"
+
+
+class NotReady(Refused):
+    default_reason = "NOT_READY"
 
 
 class RangeNotSatisfiable(Refused):

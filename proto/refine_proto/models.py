@@ -14,7 +14,9 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any, Self
 
-from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from .base64_bytes import Base64Bytes
 
 # "X as X": callers find all values of the contract here.
 from .cameras import CameraSpec as CameraSpec

@@ -18,6 +18,10 @@ def make_app(edge: Edge) -> ASGIApp:
         title="REFINE",
         version="1",  # of the contract, as in the paths
         description="Refines a coarse mesh at test time from its silhouette and camera.",
+        servers=[{"url": "/", "description": "The server that this document comes from."}],
+        contact={"name": "The operator of this server"},
+        license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+        generate_unique_id_function=lambda route: route.name,  # what generated clients call their functions
         docs_url=None,  # page.py: without a CDN
         redoc_url=None,
         telemetry={"tracing": False},  # middleware.py has a span of each call, refused ones too

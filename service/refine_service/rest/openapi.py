@@ -123,12 +123,12 @@ CREATE_BODY: dict[str, Any] = {
                     "mesh": {"type": "string", "format": "binary", "description": "The coarse mesh file."},
                     "silhouette": {"type": "string", "format": "binary", "description": _IMAGE},
                     "ignore": {"type": "string", "format": "binary", "description": _UNKNOWN},
-                    "camera": {"$ref": f"{_of(RefinementRequest)['$ref']}/properties/camera"},
+                    "camera": {"$ref": _REFERENCE.format(model="CameraSpec")},
                     "options": {"$ref": _REFERENCE.format(model="RefinementOptions")},
                     "mesh_format": {"$ref": _REFERENCE.format(model="MeshFormat")},
                     "views": {"type": "array", "items": {"$ref": _REFERENCE.format(model="View")}},
                     "webhook": {"$ref": _REFERENCE.format(model="Webhook")},
-                    "metadata": {"$ref": f"{_of(RefinementRequest)['$ref']}/properties/metadata"},
+                    "metadata": {"$ref": _REFERENCE.format(model="Metadata")},
                     **{name: {"type": "string", "format": "binary"} for name in IMAGE_PARTS[2:]},
                 },
             },
@@ -194,7 +194,13 @@ def describe(app: FastAPI) -> Callable[[], dict[str, Any]]:
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
             document = get_openapi(
-                title=app.title, version=app.version, description=app.description, routes=app.routes
+                title=app.title,
+                version=app.version,
+                description=app.description,
+                routes=app.routes,
+                servers=app.servers,
+                contact=app.contact,
+                license_info=app.license_info,
             )
             _, definitions = models_json_schema(_MODELS, ref_template=_REFERENCE)
             schemas = document.setdefault("components", {}).setdefault("schemas", {})

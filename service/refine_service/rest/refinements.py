@@ -10,7 +10,7 @@ from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import Response
 
 from refine_jobs.record import Task
-from refine_proto.errors import Conflict, from_problem
+from refine_proto.errors import Conflict, NotReady, from_problem
 from refine_proto.formats import ARTIFACTS, ArtifactName
 from refine_proto.lists import Lifetime, make_filter, read_pairs
 from refine_proto.models import Refinement, RefinementPage, State, Validation
@@ -24,9 +24,11 @@ from .artifacts import artifact_response
 from .body import read_body
 from .depends import CallHere, EdgeHere, Found
 from .openapi import ACCEPTED, CREATE_BODY, FINISHED, problems
+from .problems import problem_response
 
 MAX_WAIT_S = 60
 GLB = ARTIFACTS[ArtifactName.REFINED]
+_JSON = re.compile(r"application/(json|\*)|\*/\*", re.IGNORECASE)
 _WAIT = re.compile(r"(?:^|[,;\s])wait\s*=\s*\"?(\d{1,9})", re.IGNORECASE)
 
 router = APIRouter(prefix=COLLECTION, tags=["refinements"])
@@ -36,7 +38,11 @@ router = APIRouter(prefix=COLLECTION, tags=["refinements"])
     "",
     status_code=202,
     response_model=Refinement,
-    responses={200: FINISHED, 202: ACCEPTED, **problems(401, 409, 410, 413, 415, 422, 429, 500, 503, 504)},
+    responses={
+        200: FINISHED,
+        202: ACCEPTED,
+        **problems(401, 406, 409, 410, 413, 415, 422, 429, 500, 503, 504),
+    },
     openapi_extra={"requestBody": CREATE_BODY},
 )
 async def create_refinement(
@@ -44,7 +50,10 @@ async def create_refinement(
     edge: EdgeHere,
     call: CallHere,
     prefer: Annotated[str, Header(description="`wait=N`: answer when done, N seconds at most (60).")] = "",
-    accept: Annotated[str, Header(description=f"`{GLB}`: with `wait`, the refined mesh is the body.")] = "",
+    accept: Annotated[
+        str,
+        Header(description=f"`{GLB}`: the refined mesh is the body; 406 if it is not ready in time (60 s)."),
+    ] = "",
     idempotency_key: Annotated[
         str | None, Header(description="The same key with the same content gives the first answer again.")
     ] = None,
@@ -58,10 +67,11 @@ async def create_refinement(
     if submitted.replayed:
         headers["Idempotency-Replayed"] = "true"
     if wanted := _WAIT.search(prefer):
-        wait_s = min(int(wanted[1]), MAX_WAIT_S)
-        headers["Preference-Applied"] = f"wait={wait_s}"
+        headers["Preference-Applied"] = f"wait={min(int(wanted[1]), MAX_WAIT_S)}"
+    if wanted or GLB in accept:  # who wants the mesh wants to wait for it
+        wait_s = min(int(wanted[1]), MAX_WAIT_S) if wanted else MAX_WAIT_S
         refinement = await wait_for_end(edge, call.owner, refinement.id, wait_s)
-        if refinement.state.terminal and GLB in accept:
+        if GLB in accept and (refinement.state.terminal or not _JSON.search(accept)):
             return await _refined_mesh(edge, refinement, headers)
     status = 200 if wanted and refinement.state.terminal else 202
     return Response(refinement.model_dump_json(), status, headers, "application/json")
@@ -89,7 +99,16 @@ async def _refined_mesh(edge: Edge, refinement: Refinement, headers: dict[str, s
         return response
     if refinement.error is not None:
         raise from_problem(refinement.error)
-    raise Conflict(f"refinement {refinement.id} is {refinement.state}; it has no refined mesh")
+    if refinement.state.terminal:
+        raise Conflict(f"refinement {refinement.id} is {refinement.state}; it has no refined mesh")
+    # Answered with JSON and a status of success, it would end up in a file that is called .glb.
+    error = NotReady(
+        f"refinement {refinement.id} is {refinement.state} and goes on; wait for its end and get its "
+        f"{ArtifactName.REFINED}, or send this again with the same Idempotency-Key, which waits again"
+    )
+    response = problem_response(error)
+    response.headers.update(headers)
+    return response
 
 
 @router.get("", responses=problems(401, 422, 429, 503))

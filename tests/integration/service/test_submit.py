@@ -311,6 +311,31 @@ def test_waiting_for_the_mesh_of_a_job_that_fails(rest: httpx.Client, hand: Hand
     assert (answer.status_code, answer.json()["reason"]) == (422, "MESH_INVALID")
 
 
+@pytest.mark.parametrize("wait", [{"Prefer": "wait=1"}, {"Prefer": "wait=0"}])
+def test_a_mesh_that_is_not_ready_is_no_success(rest: httpx.Client, hand: Hand, wait: dict[str, str]) -> None:
+    """What curl writes to refined.glb is the mesh, or curl --fail writes nothing."""
+    headers = {**wait, "Accept": "model/gltf-binary", "Idempotency-Key": "the same"}
+    answer = rest.post("/v1/refinements", files=multipart(), headers=headers)
+    assert (answer.status_code, answer.json()["reason"]) == (406, "NOT_READY")
+    assert answer.headers["Content-Type"] == "application/problem+json"
+    refinement_id = answer.headers["Location"].rpartition("/")[2]
+    assert rest.get(answer.headers["Location"]).json()["state"] == "queued"
+    hand.run(refinement_id, {"refined.glb": b"glTF refined"})
+    again = rest.post("/v1/refinements", files=multipart(), headers=headers)
+    assert (again.status_code, again.content) == (200, b"glTF refined")
+
+
+def test_who_wants_the_mesh_waits_without_saying_so(rest: httpx.Client, hand: Hand) -> None:
+    answer = post_and_run(rest, hand, {"Accept": "model/gltf-binary"}, "finish")
+    assert (answer.status_code, answer.content) == (200, b"glTF refined")
+
+
+def test_who_takes_json_too_gets_it(rest: httpx.Client) -> None:
+    headers = {"Prefer": "wait=0", "Accept": "model/gltf-binary, application/json;q=0.5"}
+    answer = rest.post("/v1/refinements", files=multipart(), headers=headers)
+    assert (answer.status_code, answer.json()["state"]) == (202, "queued")
+
+
 def test_waiting_too_short(rest: httpx.Client) -> None:
     answer = rest.post("/v1/refinements", files=multipart(), headers={"Prefer": "wait=1"})
     assert (answer.status_code, answer.json()["state"]) == (202, "queued")
