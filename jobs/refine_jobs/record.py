@@ -176,9 +176,13 @@ def to_json(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json", exclude_none=True)
-    return vars(value)
+    if isinstance(value, RefinementSpec):  # older workers refuse fields that they do not know
+        return {name: part for name, part in _dump(value).items() if part not in ([], {})}
+    return _dump(value) if isinstance(value, BaseModel) else vars(value)
+
+
+def _dump(model: BaseModel) -> dict[str, Any]:
+    return model.model_dump(mode="json", exclude_none=True)
 
 
 def decode_event(entry: Entry) -> Event | None:
