@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 import json
 import re
@@ -11,8 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 yaml = pytest.importorskip("yaml")
+
+from custom_resources import check, is_of_others  # noqa: E402
 
 from refine_client.cli import main  # noqa: E402
 from refine_jobs.settings import JobSettings  # noqa: E402
@@ -22,11 +26,15 @@ from refine_worker.settings import WorkerSettings  # noqa: E402
 
 CHART = Path(__file__).parents[2] / "deploy/chart/refine"
 PROFILES = [None, *sorted((CHART / "profiles").glob("*.yaml"))]
-OF_OTHERS = {
-    *("GRPCRoute", "HTTPRoute"),
-    *("ScaledObject", "TriggerAuthentication"),
-    *("PodMonitor", "ScrapeConfig", "ServiceMonitor"),
-}
+ALL_OF_OTHERS = [
+    *(
+        "--set",
+        "worker.autoscaling.mode=keda",
+        "--set",
+        "worker.autoscaling.prometheus=http://prometheus:9090",
+    ),
+    *("--set", "monitoring.enabled=true", "--set", "gateway.enabled=true", "--set", "gateway.name=public"),
+]
 
 
 def tool(name: str) -> str:
@@ -74,12 +82,33 @@ def test_package_holds_the_sample(tmp_path: Path) -> None:
 
 def test_manifests_are_what_kubernetes_takes(rendered: str, tmp_path: Path) -> None:
     path = tmp_path / "manifests.yaml"
-    kept = [document for document in documents(rendered) if document["kind"] not in OF_OTHERS]
+    kept = [document for document in documents(rendered) if not is_of_others(document)]
     path.write_text(yaml.safe_dump_all(kept))
     command = [tool("kubernetes-validate"), "--strict", "-k", "1.32", str(path)]
     answer = subprocess.run(command, capture_output=True, text=True)
     assert answer.returncode == 0, answer.stdout + answer.stderr
     assert "Couldn't find schema" not in answer.stdout + answer.stderr
+
+
+def test_resources_of_others_are_what_their_owners_take(profile: Path | None) -> None:
+    text = helm("template", "refine", CHART, "-n", "production", *given(profile), *ALL_OF_OTHERS)
+    found = [document for document in documents(text) if is_of_others(document)]
+    for document in found:
+        check(document)
+    kinds = {document["kind"] for document in found} - {"TriggerAuthentication"}  # only for a password
+    assert kinds == {
+        *("ScaledObject", "ServiceMonitor", "PodMonitor", "ScrapeConfig", "PrometheusRule"),
+        *("HTTPRoute", "GRPCRoute"),
+    }
+
+
+def test_the_schemas_of_others_refuse_what_is_not_theirs() -> None:
+    text = helm("template", "refine", CHART, *ALL_OF_OTHERS)
+    for document in documents(text):
+        if is_of_others(document):
+            document["spec"]["interval"] = "soon"
+            with pytest.raises(ValidationError):
+                check(document)
 
 
 def test_settings_are_settings_of_the_program(rendered: str) -> None:
@@ -151,6 +180,28 @@ def test_the_test_pod_calls_the_client_as_it_is(rendered: str, capsys: pytest.Ca
         main([*container["args"], "--help"])
     assert ended.value.code == 0
     capsys.readouterr()
+
+
+def test_helm_test_has_its_sample_before_its_pod(rendered: str) -> None:
+    hooks = {
+        document["kind"]: document
+        for document in documents(rendered)
+        if document["metadata"].get("annotations", {}).get("helm.sh/hook") == "test"
+    }
+    assert sorted(hooks) == ["ConfigMap", "Pod"]
+    weights = {
+        kind: int(hook["metadata"]["annotations"].get("helm.sh/hook-weight", 0))
+        for kind, hook in hooks.items()
+    }
+    assert weights["ConfigMap"] < weights["Pod"]
+    sample = {name: base64.b64decode(data) for name, data in hooks["ConfigMap"]["binaryData"].items()}
+    assert sample == {name: (CHART / "files/sample" / name).read_bytes() for name in sample}
+    spec = hooks["Pod"]["spec"]
+    (mount,) = [mount for mount in spec["containers"][0]["volumeMounts"] if mount["mountPath"] == "/sample"]
+    (volume,) = [volume for volume in spec["volumes"] if volume["name"] == mount["name"]]
+    assert volume["configMap"]["name"] == hooks["ConfigMap"]["metadata"]["name"]
+    given_files = [Path(word).name for word in spec["containers"][0]["args"] if word.startswith("/sample/")]
+    assert sorted(given_files) == sorted(sample)
 
 
 def test_redis_secrets_reach_url_and_autoscaler() -> None:
