@@ -22,6 +22,7 @@ def test_jobs_survive_a_restore(tmp_path: Path) -> None:
     ):
         ended, waits = (client.submit(MESH, PNG, CAMERA, mesh_format="obj") for _ in range(2))
         Hand(redis, here).run(ended.id, {"refined.glb": b"refined"})
+        redis.config_set("auto-aof-rewrite-percentage", 0)
         redis.bgrewriteaof()
         while redis.info("persistence")["aof_rewrite_in_progress"]:
             time.sleep(0.02)

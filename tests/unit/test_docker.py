@@ -189,6 +189,19 @@ def test_prometheus_asks_services_and_workers_of_it_on_their_ports() -> None:
     assert asked == {("service", http_port), *worker_ports}
 
 
+def test_prometheus_takes_its_file(tmp_path: Path) -> None:
+    promtool = shutil.which("promtool")
+    if promtool is None:
+        pytest.skip("promtool is not on PATH; on Debian: apt-get install prometheus")
+    rules = ROOT / "deploy/monitoring/rules.yaml"
+    text = (FOLDER / "prometheus.yaml").read_text()
+    (tmp_path / "prometheus.yaml").write_text(text.replace("/etc/prometheus/rules.yaml", str(rules)))
+    command: list[str | Path] = [promtool, "check", "config", tmp_path / "prometheus.yaml"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert str(rules) in done.stdout
+
+
 def test_a_container_is_healthy_by_the_port_on_which_its_worker_answers() -> None:
     text = (FOLDER / "worker.Dockerfile").read_text()
     assert '["refine", "worker", "--check", "ready"]' in text
