@@ -153,7 +153,7 @@ def _row_number(rows: Ints, width: int) -> Ints:
 def read_mesh(
     data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS, beside: Beside | None = None
 ) -> MeshFile:
-    """Read a GLB, glTF, OBJ, PLY, STL or OFF file, or a ZIP archive of one and the files that it refers to.
+    """Read a mesh, points or voxels of any `MeshFormat`, or a ZIP archive of one and the files it refers to.
 
     The format is decided by the content where it can be, else by the suffix of `name`. `beside` gives the
     files that a mesh refers to (buffers, images, materials); without it only embedded data is read.
