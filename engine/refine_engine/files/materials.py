@@ -17,6 +17,7 @@ _Statements = dict[str, list[str]]  # of one material: the words behind each key
 _MAGIC = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _PLACES = {"map_kd": "baseColorTexture", "map_ke": "emissiveTexture", "norm": "normalTexture"}
 _PLAIN = {"kd", "ka", "ks", "ke", "ns", "ni", "d", "tr", "tf", "illum", "pr", "pm", "map_ka"}
+_NOT_THERE = "the {what} {{}} is not there: put it beside the mesh, or send all in a .zip"
 _OPTIONS = {"-o": 3, "-s": 3, "-t": 3, "-mm": 2} | dict.fromkeys(  # of a texture, and how many words follow
     ("-blendu", "-blendv", "-boost", "-texres", "-clamp", "-bm", "-imfchan", "-type", "-cc", "-colorspace"), 1
 )
@@ -54,12 +55,21 @@ def media_type(image: bytes) -> str | None:
 
 
 class MaterialFiles:
-    """Reads what a mesh file says of materials; `warnings` tell what was left out."""
+    """Reads what a mesh file says of materials, and tells what was left out."""
 
     def __init__(self, beside: Beside) -> None:
-        self.warnings: list[str] = []
+        self._warnings: list[str] = []
+        self._lost: dict[str, dict[str, None]] = {}  # files by what is wrong with them
         self._beside = beside
         self._files: dict[str, bytes | None] = {}  # by path: none is read twice, however often it is named
+
+    def warnings(self) -> list[str]:
+        """One for each kind of loss, however many files it took."""
+        told = list(self._warnings)
+        for words, names in self._lost.items():
+            first, *others = names
+            told.append(words.format(f"{first!r:.60}" + (f" and {len(others)} others" if others else "")))
+        return told
 
     def textured(self, image: str) -> Material:
         """A material that is a texture and nothing else."""
@@ -75,10 +85,10 @@ class MaterialFiles:
                 if name in wanted and name not in found:
                     found[name] = self._material(name, statements, posixpath.dirname(library), left_out)
         if left_out:
-            self.warnings.append(f"of the material files {', '.join(left_out)!s:.80} were left out")
+            self._warnings.append(f"of the material files {', '.join(left_out)!s:.80} were left out")
         missing = sorted(wanted - found.keys())
         if missing and (present or not libraries):
-            self.warnings.append(
+            self._warnings.append(
                 f"{len(missing)} of {len(wanted)} materials are in no material file "
                 f"(first: {missing[0]!r:.40})"
             )
@@ -89,10 +99,11 @@ class MaterialFiles:
         for line in dict.fromkeys(libraries):
             names = [line] if self._read(_path("", line)) is not None else line.split()
             for path in (_path("", name) for name in names):
-                if self._read(path) is not None:
-                    yield path
+                found = self._first_there([path, posixpath.basename(path)])
+                if found is not None:
+                    yield found
                 else:
-                    self.warnings.append(_not_there("material file", path))
+                    self._lose(_NOT_THERE.format(what="material file"), path)
 
     def _material(
         self, name: str, statements: _Statements, folder: str, left_out: dict[str, None]
@@ -130,24 +141,26 @@ class MaterialFiles:
         return Material(made, found)
 
     def _images(self, names: Mapping[str, str], folder: str) -> dict[str, bytes]:
-        """The images by the names that glTF has for them: each where the file says, or else by its mere name,
-        since paths of the writer's machine lead nowhere on ours."""
+        """The images by the names that glTF has for them."""
         found: dict[str, bytes] = {}
         for word, name in names.items():
             bare = posixpath.basename(_path("", name))
-            paths = dict.fromkeys([_path(folder, name), _path(folder, bare), bare])
-            content = next((data for path in paths if (data := self._read(path)) is not None), None)
+            there = self._first_there([_path(folder, name), _path(folder, bare), bare])
+            content = None if there is None else self._read(there)
             if content is None:
-                self._tell(_not_there("texture", name))
+                self._lose(_NOT_THERE.format(what="texture"), name)
             elif media_type(content) is None:
-                self._tell(f"expected a texture as PNG or JPEG, got {name!r:.60}: left out; convert it")
+                self._lose("expected a texture as PNG or JPEG, got {}: left out; convert it", name)
             else:
                 found[_PLACES[word]] = content
         return found
 
-    def _tell(self, warning: str) -> None:
-        if warning not in self.warnings:
-            self.warnings.append(warning)
+    def _first_there(self, paths: Sequence[str]) -> str | None:
+        """Where the writer's machine had the file, or else where its mere name leads on ours."""
+        return next((path for path in paths if self._read(path) is not None), None)
+
+    def _lose(self, words: str, name: str) -> None:
+        self._lost.setdefault(words, {})[name] = None
 
     def _read(self, path: str) -> bytes | None:
         if path not in self._files:
@@ -210,7 +223,3 @@ def _linear(srgb: list[float]) -> list[float]:
 def _path(folder: str, name: str) -> str:
     path = posixpath.normpath(posixpath.join(folder, name.strip().strip('"').replace("\\", "/")))
     return "" if path == "." else path
-
-
-def _not_there(what: str, name: str) -> str:
-    return f"the {what} {name!r:.60} is not there: put it beside the mesh, or send all in a .zip"

@@ -58,9 +58,10 @@ def _materials(
         names = dict(enumerate(polygons.materials))
         material_of = {number: found.get(names.get(number, ""), MATTE) for number in parts}
     bare = [number for number in parts if material_of[number].images and "TEXCOORD_0" not in parts[number]]
+    told = files.warnings()
     if bare:
-        files.warnings.append("textures were left out: the mesh has no texture coordinates for them")
-    return material_of | {number: Material(material_of[number].json) for number in bare}, files.warnings
+        told.append("textures were left out: the mesh has no texture coordinates for them")
+    return material_of | {number: Material(material_of[number].json) for number in bare}, told
 
 
 def mesh_document(parts: Sequence[tuple[Part, Material]]) -> Document:

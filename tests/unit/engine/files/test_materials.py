@@ -134,6 +134,27 @@ def test_textures_are_found_however_they_are_named(line: str, tmp_path: Path) ->
     assert not file.warnings
 
 
+@pytest.mark.parametrize(
+    "line", ["a.mtl", "./a.mtl", r"C:\Users\me\a.mtl", "none.mtl a.mtl", "a.mtl # made by me"]
+)
+def test_material_files_are_found_however_they_are_named(line: str, tmp_path: Path) -> None:
+    obj, mtl = TEXTURED.replace("a.mtl", line), "newmtl skin\nmap_Kd t.png\n"
+    file = read({"a.obj": obj.encode(), "a.mtl": mtl.encode(), "t.png": image()}, tmp_path)
+    assert textures(written(file)) == {"baseColorTexture": image()}
+    assert len(file.warnings) == ("none" in line)
+
+
+def test_hundreds_of_lost_files_are_one_warning(tmp_path: Path) -> None:
+    names = [f"m{i}" for i in range(900)]
+    mtl = "".join(f"newmtl {name}\nmap_Kd {name}.png\n" for name in names)
+    lines = "".join(f"mtllib {name}.mtl\nusemtl {name}\nf 1/1 2/2 3/3\n" for name in names)
+    told = read({"a.obj": "mtllib a.mtl\n" + SQUARE + lines, "a.mtl": mtl}, tmp_path).warnings
+    assert [warning.partition(" is not there")[0] for warning in told] == [
+        "the material file 'm0.mtl' and 899 others",
+        "the texture 'm0.png' and 899 others",
+    ]
+
+
 def test_one_image_is_stored_once_and_materials_without_coordinates_have_none(tmp_path: Path) -> None:
     mtl = "newmtl a\nmap_Kd t.png\nmap_d t.png\nnorm t.png\nnewmtl b\nmap_Kd t.png\nmap_Ke t.png\n"
     mtl += "newmtl c\nmap_Kd t.png\n"
