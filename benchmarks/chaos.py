@@ -200,7 +200,6 @@ def submit_jobs(server: str, number: int, jobs: int, ledger: Ledger, over: threa
             sent = client.submit(OCTAHEDRON, image, CAMERA, options, mesh_format="off", idempotency_key=key)
             with ledger.lock:
                 ledger.accepted[sent.id] = key
-                ledger.accepted_at.append(time.monotonic())
             open_ids.append(sent.id)
             if len(open_ids) >= AHEAD:
                 _see_end(client, open_ids.pop(0), ledger)
@@ -213,6 +212,14 @@ def _see_end(client: RefineClient, job_id: str, ledger: Ledger) -> None:
     with ledger.lock:
         ledger.ended[job_id] = state
         ledger.ended_at.append(time.monotonic())
+
+
+def probe(installation: Installation, ledger: Ledger, over: threading.Event) -> None:
+    """Note when the service takes calls: Redis and the blob store take writes."""
+    while not over.wait(BACKSTAGE_S):
+        asked_at = time.monotonic()
+        with suppress(OSError), urllib.request.urlopen(f"{installation.rest}/readyz", timeout=5):
+            ledger.ready_at.append(asked_at)
 
 
 # ---- faults ----
@@ -265,8 +272,8 @@ def report(ledger: Ledger, installation: Installation, took_s: float) -> Iterato
     yield f"processes started: {json.dumps(starts)}"
     for (part, kind), times in sorted(ledger.recoveries().items()):
         middle, worst = statistics.median(times), max(times)
-        what = "202" if part in ("redis", "service") else "success"
-        yield f"{part} {kind}: next {what} after {middle:.1f} s (median of {len(times)}) to {worst:.1f} s"
+        what = "ready" if part in ("redis", "service") else "a success"
+        yield f"{part} {kind}: {what} after {middle:.1f} s (median of {len(times)}) to {worst:.1f} s"
 
 
 @contextmanager
@@ -304,6 +311,7 @@ def main() -> int:
             chance = random.Random(options.seed)
             how = (chance, options.pause_s, options.longest_stop_s)
             trouble = pool.submit(make_trouble, installation, *how, ledger, over)
+            prober = pool.submit(probe, installation, ledger, over)
             clients = [
                 pool.submit(
                     submit_jobs, (installation.rest, installation.grpc)[n % 2], n, share, ledger, over
@@ -312,7 +320,7 @@ def main() -> int:
             ]
             wait(clients, options.seconds)
             over.set()
-            for thread in (*clients, trouble):
+            for thread in (*clients, trouble, prober):
                 thread.result()
         took_s = time.monotonic() - started
         with RefineClient(installation.rest, retry=PATIENT) as client:

@@ -20,17 +20,17 @@ class Ledger:
     """What clients were promised, and when. Shared by threads."""
 
     accepted: dict[str, str] = field(default_factory=dict)  # id -> idempotency key
-    accepted_at: list[float] = field(default_factory=list)
+    ready_at: list[float] = field(default_factory=list)  # the service said that it takes calls
     ended: dict[str, State] = field(default_factory=dict)  # as a client first saw it
     ended_at: list[float] = field(default_factory=list)
     faults: list[tuple[float, str, str]] = field(default_factory=list)  # time at its end, part, kind
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def recoveries(self) -> dict[tuple[str, str], list[float]]:
-        """Seconds from the end of a fault to the next 202 (Redis, service) or the next success (others)."""
+        """Seconds from the end of a fault until the service is ready (Redis, service) or a job ends."""
         found = defaultdict(list)
         for at, part, kind in self.faults:
-            times = self.accepted_at if part in ("redis", "service") else self.ended_at
+            times = self.ready_at if part in ("redis", "service") else self.ended_at
             if after := [time for time in times if time > at]:
                 found[part, kind].append(min(after) - at)
         return found

@@ -19,6 +19,7 @@ from .files.limits import MeshLimits
 from .files.mesh_file import MeshFile, read_mesh
 from .files.silhouette import read_silhouette
 from .method.config import RefineConfig
+from .method.loop import Checkpoints
 from .proxy.run import refine_any_size
 from .values import Progress, Result, View
 
@@ -49,12 +50,13 @@ class Inputs:
         device: torch.device | str = "cpu",
         report: Callable[[Progress], None] | None = None,
         cancelled: Callable[[], bool] | None = None,
+        checkpoints: Checkpoints | None = None,
     ) -> Result:
         """`refine_any_size` on `device`; the result lies there and carries these warnings before its own."""
         mesh, views = self.mesh_file.mesh.to(device), [view.to(device) for view in self.views]
         if self.mesh_file.textured and config.topology == "auto":
             config = replace(config, topology="fixed")  # a hole would show in the texture
-        result = refine_any_size(mesh, views, config, report, cancelled)
+        result = refine_any_size(mesh, views, config, report, cancelled, checkpoints)
         return replace(result, warnings=(*self.warnings, *result.warnings, *_about_the_result(result)))
 
 

@@ -93,6 +93,16 @@ def input_blob(job_id: str, part: str) -> str:
     return f"jobs/{job_id}/input/{part}"
 
 
+def checkpoint_folder(job_id: str) -> str:
+    """Folder of what another slot can go on from."""
+    return f"{BLOBS}/{job_id}/checkpoint"
+
+
+def checkpoint_blob(job_id: str) -> str:
+    """Name of the latest state of a running job."""
+    return f"{checkpoint_folder(job_id)}/latest"
+
+
 def artifact_folder(job_id: str, attempt: int) -> str:
     """Folder of what one attempt has made."""
     return f"jobs/{job_id}/artifacts/{attempt}"

@@ -57,6 +57,9 @@ class WorkerSettings(EnvironmentSettings):
     read_memory_bytes: int | None = Field(
         None, gt=0, description="What reading them may allocate (Linux); unset: half of a slot's share."
     )
+    checkpoint_s: float = Field(
+        10, gt=0, description="Between two checkpoints of a running job, from which another slot goes on."
+    )
     stall_timeout_s: float = Field(600, gt=0, description="Without any progress for so long, a job has hung.")
     cancel_grace_s: float = Field(
         1.2, ge=0, description="From asking an engine process to stop to killing it."

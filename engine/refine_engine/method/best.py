@@ -19,6 +19,11 @@ class Best:
         self.confidence = torch.ones_like(vertices[:, 0])  # (V,)
         self.at = torch.zeros_like(self.iteration)  # 1-based
 
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """All that is remembered."""
+        return self.iteration, self.curve, self.total, self.offsets, self.confidence, self.at
+
     def forget(self) -> None:
         """Losses from here on do not compare with those before."""
         self.total.fill_(math.inf)

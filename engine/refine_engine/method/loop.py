@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any, Protocol, TypeAlias
 
 import torch
 from torch import Tensor
@@ -36,6 +37,7 @@ from .whole_mesh import WholeMesh, fit_whole_mesh
 
 TERMS = ("silhouette", "image_symmetry", "vertex_symmetry", "displacement", "normal_consistency", "laplacian")
 REPORT_INTERVAL_S = 0.5
+Snapshot: TypeAlias = dict[str, Any]  # plain values and tensors
 
 
 def refine(
@@ -44,12 +46,14 @@ def refine(
     config: RefineConfig,
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> Result:
     """Refine a coarse mesh so that it agrees with its silhouettes and stays plausible where they say nothing.
 
     Mesh and views are on one device, which does the work. `report` hears of the progress at most twice a
     second and of the last iteration; `cancelled` is asked before every iteration. The same seed, device and
-    number of threads give the same result. Vertices that no face uses stay where they are, with confidence 1.
+    number of threads give the same result, also when a run goes on from a checkpoint of another one that was
+    interrupted. Vertices that no face uses stay where they are, with confidence 1.
 
     Raises:
         Cancelled: `cancelled` said so.
@@ -62,7 +66,7 @@ def refine(
     if config.agreement is not None and iou_before >= config.agreement:
         state = keep(compact, views, config, iou_before, report)
     else:
-        state = _optimise(compact, views, config, iou_before, report, cancelled)
+        state = _optimise(compact, views, config, iou_before, report, cancelled, checkpoints)
     there = state.there if config.topology != "fixed" else torch.ones_like(state.there)
     vertices = mesh.vertices.index_copy(0, used, state.mesh.vertices)
     return Result(
@@ -89,6 +93,7 @@ def _optimise(
     iou_before: float,
     report: Callable[[Progress], None] | None,
     cancelled: Callable[[], bool] | None,
+    checkpoints: Checkpoints | None,
 ) -> State:
     """Fit the mesh as a whole, then the network; every vertex of `mesh` is used by a face."""
     iteration, reported = 0, -math.inf
@@ -104,19 +109,42 @@ def _optimise(
 
     whole = fit_whole_mesh(mesh, views, config, proceed)
     fit = Fit(whole, config)
+    saved = checkpoints.last() if checkpoints else None
+    iteration = saved["iteration"] if saved else 0
+    end = 0
     for stage in config.stages:
+        begin, end = end, end + stage.iterations
+        if saved and end < iteration:
+            continue
         fit.enter(stage)
+        if saved and begin < iteration:
+            fit.restore(saved)
         with repeatable(fit.step, mesh.vertices.device) as step:
-            for _ in range(stage.iterations):
+            for _ in range(max(begin, iteration), end):
                 proceed()
                 step()
                 iteration += 1
+                if checkpoints and checkpoints.due():
+                    checkpoints.keep(fit.snapshot(iteration))
                 now = time.monotonic()
                 if report and (now - reported > REPORT_INTERVAL_S or iteration == config.iterations):
                     report(fit.progress(iteration))
                     reported = now
     fit.progress(config.iterations)
     return judge(mesh, whole, fit.state(), config, iou_before)
+
+
+class Checkpoints(Protocol):
+    """Where a run leaves its state now and then, so that another run of the same inputs can go on from it."""
+
+    def last(self) -> Snapshot | None:
+        """What the latest one kept, on the device of this run."""
+
+    def due(self) -> bool:
+        """Asked after every iteration."""
+
+    def keep(self, snapshot: Snapshot) -> None:
+        """Copy it before this returns: the run goes on in the same tensors."""
 
 
 class Fit:
@@ -234,6 +262,25 @@ class Fit:
             folds = losses.normal_consistency(vertices, self.topology)
             smooth = losses.laplacian(vertices, neighbour_mean(vertices, self.topology))
         return weights.normal_consistency * folds, weights.laplacian * smooth
+
+    def snapshot(self, iteration: int) -> Snapshot:
+        """What the next iteration depends on and `Fit(whole, config)` and `enter` do not make."""
+        return {
+            "iteration": iteration,
+            "network": self.network.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "best": self.best.tensors,
+            "iou": self.iou,
+        }
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on after the snapshot's iteration; call it within the stage of that."""
+        self.network.load_state_dict(snapshot["network"])
+        self.optimiser.load_state_dict(snapshot["optimiser"])
+        for now, then in zip(
+            (*self.best.tensors, self.iou), (*snapshot["best"], snapshot["iou"]), strict=True
+        ):
+            now.copy_(then)
 
     def state(self) -> State:
         """The best iterate, world frame."""

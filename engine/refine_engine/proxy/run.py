@@ -11,7 +11,7 @@ import torch
 
 from ..cameras.seen import mean_silhouette_iou
 from ..method.config import RefineConfig
-from ..method.loop import refine
+from ..method.loop import Checkpoints, refine
 from ..values import Mesh, Progress, Proxy, Result, View
 from .carry import Carrier
 from .decimate import decimate
@@ -26,14 +26,15 @@ def refine_any_size(
     config: RefineConfig,
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> Result:
     """As `refine`, but of more than MANY_VERTICES a proxy is refined, and its displacement carried back.
 
-    `report`, the loss curve and the warnings are about the proxy, all else of the result about the mesh.
+    `report`, checkpoints, loss curve and warnings are about the proxy, all else of the result about the mesh.
     """
     used, faces = mesh.faces.unique(return_inverse=True)
     if len(used) <= MANY_VERTICES:
-        return refine(mesh, views, config, report, cancelled)
+        return refine(mesh, views, config, report, cancelled, checkpoints)
     started = time.monotonic()
     points = mesh.vertices[used].double().cpu().numpy()
     low, size = points.min(0), float(np.ptp(points, axis=0).max())
@@ -44,7 +45,7 @@ def refine_any_size(
         torch.from_numpy(proxy.vertices * size + low).to(mesh.vertices),
         torch.from_numpy(proxy.faces).to(mesh.faces),
     )
-    result = refine(small, views, config, report, cancelled)
+    result = refine(small, views, config, report, cancelled, checkpoints)
 
     moved = carrier.displacement(result.displacement.double().cpu().numpy() / size) * size
     kept = torch.ones_like(mesh.faces[:, 0], dtype=torch.bool)

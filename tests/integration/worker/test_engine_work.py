@@ -87,7 +87,7 @@ def nobody_tidies() -> Iterator[None]:
 def test_nothing_of_a_job_stays_however_it_ends(
     device: str, blobs: BlobStore, pipe: tuple[Connection, Connection]
 ) -> None:
-    refinery = Refinery(blobs, torch.device(device), LIMITS)
+    refinery = Refinery(blobs, torch.device(device), LIMITS, 10)
     go_on, stop = threading.Event(), threading.Event()
     stop.set()
     ends = [
@@ -140,9 +140,9 @@ def test_all_views_and_what_is_unknown_reach_the_engine(
     with pytest.raises(
         SilhouetteInvalid, match="view 2: expected an ignore mask of the silhouette's size 224x224"
     ):
-        Refinery(blobs, torch.device("cpu"), LIMITS).refine(more, lambda _: None, lambda: False)
+        Refinery(blobs, torch.device("cpu"), LIMITS, 10).refine(more, lambda _: None, lambda: False)
     blobs.put(keys.input_blob("job", "ignore_2"), _half_known())
-    done = Refinery(blobs, torch.device("cpu"), LIMITS).refine(more, lambda _: None, lambda: False)
+    done = Refinery(blobs, torch.device("cpu"), LIMITS, 10).refine(more, lambda _: None, lambda: False)
     assert {artifact.name for artifact in done.artifacts} >= {"refined.glb", "report.json"}
 
 

@@ -46,7 +46,9 @@ def main(argv: Sequence[str]) -> None:
     connection = Connection(options.pipe)
     inbox = Inbox(connection)
     device = torch.device("cuda" if os.environ.get("CUDA_VISIBLE_DEVICES") else "cpu")
-    refinery = Refinery(BlobStore(options.blobs), device, ReadLimits.model_validate_json(options.limits))
+    refinery = Refinery(
+        BlobStore(options.blobs), device, ReadLimits.model_validate_json(options.limits), options.checkpoint_s
+    )
     for preset in presets_to_warm(device):
         warm_up(device, preset)
     gpu_uuid = str(torch.cuda.get_device_properties(device).uuid) if device.type == "cuda" else None
@@ -66,6 +68,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("threads", type=int)
     parser.add_argument("blobs", help="location of the blob store")
     parser.add_argument("limits", help="ReadLimits, as JSON")
+    parser.add_argument("checkpoint_s", type=float)
     return parser.parse_args(argv)
 
 

@@ -23,6 +23,7 @@ from refine_proto.progress import ProgressMeter
 
 from ..messages import Answered, Done, FromEngine, Phase, PhaseStarted, Progressed, Run
 from ..settings import ReadLimits
+from .checkpoints import checkpoints_of
 from .limits import parsing
 
 Tell = Callable[[FromEngine], None]
@@ -35,8 +36,11 @@ class MemoryShort(Exception):
 class Refinery:
     """Turns the files of a job into its artifacts, on one device."""
 
-    def __init__(self, blobs: BlobStore, device: torch.device, limits: ReadLimits) -> None:
-        self._blobs, self._device, self._limits = blobs, device, limits
+    def __init__(
+        self, blobs: BlobStore, device: torch.device, limits: ReadLimits, checkpoint_s: float
+    ) -> None:
+        self._blobs, self._device = blobs, device
+        self._limits, self._checkpoint_s = limits, checkpoint_s
 
     def refine(self, run: Run, tell: Tell, cancelled: Callable[[], bool]) -> Done:
         """Do the job. Raises the engine's errors and MemoryShort."""
@@ -45,13 +49,14 @@ class Refinery:
         inputs = self._read(run, spec, config, tell)
         refuse(inputs.findings)
         tell(PhaseStarted(phase=Phase.REFINE))
-        with _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"):
-            result = inputs.refine(config, self._device, Reporter(tell), cancelled)
+        with (
+            _explained(f"refining {len(inputs.mesh_file.mesh.vertices)} vertices on {self._device.type}"),
+            checkpoints_of(self._blobs, run.job_id, self._device, self._checkpoint_s) as checkpoints,
+        ):
+            result = inputs.refine(config, self._device, Reporter(tell), cancelled, checkpoints)
             tell(PhaseStarted(phase=Phase.STORE))
-            artifacts = make_artifacts(inputs, result, config)
-        return Done(
-            artifacts=self._store(run, artifacts), judgement=judgement_of(result), checks=inputs.findings
-        )
+            artifacts = self._store(run, make_artifacts(inputs, result, config))
+        return Done(artifacts=artifacts, judgement=judgement_of(result), checks=inputs.findings)
 
     def validate(self, run: Run, tell: Tell) -> Answered:
         """Say what `refine` would find in the inputs. Raises the engine's errors and MemoryShort."""

@@ -125,7 +125,7 @@ class EngineProcess:
         command = [
             sys.executable, "-m", "refine_worker.engine", str(os.getpid()), str(theirs.fileno()),
             str(self._crash_report), self._plan.name, str(self._plan.threads), self._blob_location,
-            self._plan.read_limits.model_dump_json(),
+            self._plan.read_limits.model_dump_json(), str(self._settings.checkpoint_s),
         ]  # fmt: skip
         environment = {k: v for k, v in os.environ.items() if k not in _SECRETS}
         with theirs:

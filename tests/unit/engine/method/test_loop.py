@@ -1,5 +1,6 @@
 """Whole runs, short and small: a dozen iterations at 48 pixels."""
 
+import io
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,7 +12,7 @@ from torch import Tensor
 from refine_engine.cameras.seen import hard_silhouette, mean_silhouette_iou
 from refine_engine.errors import Cancelled, Diverged
 from refine_engine.method.config import ProportionFit, RefineConfig, Stage
-from refine_engine.method.loop import TERMS, refine
+from refine_engine.method.loop import TERMS, Snapshot, refine
 from refine_engine.values import Camera, Mesh, Progress, Result, View
 
 SHORT = RefineConfig(
@@ -331,3 +332,39 @@ def test_what_is_hidden_is_not_taken_for_background(ball: Mesh) -> None:
 def test_knowing_all_pixels_is_not_to_say_which(ball: Mesh, views: list[View]) -> None:
     all_known = [replace(view, known=torch.ones(64, 64, dtype=torch.bool)) for view in views]
     assert same(refine(ball, views, SHORT), refine(ball, all_known, SHORT))
+
+
+class Memory:
+    """Checkpoints as bytes, after every iteration."""
+
+    def __init__(self, last: bytes | None = None) -> None:
+        self.kept = [] if last is None else [last]
+
+    def last(self) -> Snapshot | None:
+        return torch.load(io.BytesIO(self.kept[-1]), weights_only=True) if self.kept else None
+
+    def due(self) -> bool:
+        return True
+
+    def keep(self, snapshot: Snapshot) -> None:
+        file = io.BytesIO()
+        torch.save(snapshot, file)
+        self.kept.append(file.getvalue())
+
+
+@pytest.mark.parametrize("train_encoder", [False, True])
+def test_a_run_that_goes_on_from_a_checkpoint_has_the_result_of_one_that_was_not_disturbed(
+    ball: Mesh, views: list[View], train_encoder: bool
+) -> None:
+    """From any iteration, the last ones of stages included."""
+    config = replace(SHORT, train_encoder=train_encoder)
+    memory = Memory()
+    undisturbed = refine(ball, views, config, checkpoints=memory)
+    assert same(undisturbed, refine(ball, views, config))
+    assert len(memory.kept) == config.iterations
+    for iteration in (1, 3, 4, 5, 11, 12):
+        rest = Memory(memory.kept[iteration - 1])
+        resumed = refine(ball, views, config, checkpoints=rest)
+        assert same(resumed, undisturbed), iteration
+        assert resumed.best_iteration == undisturbed.best_iteration
+        assert len(rest.kept) == 1 + config.iterations - iteration
