@@ -7,11 +7,13 @@ import os
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
+from urllib.parse import urlsplit
 
 from pydantic import ValidationError
+from typing_extensions import TypeIs
 
 from refine_proto.errors import check_idempotency_key, from_validation
 from refine_proto.formats import IGNORE, MESH, SILHOUETTE, format_of_name, of_view
@@ -19,7 +21,10 @@ from refine_proto.models import CameraSpec, MeshFormat, RefinementOptions, Refin
 
 CHUNK_BYTES = 64 * 1024
 Source = bytes | str | os.PathLike[str]
-"""The content of a file, or its path. A path is read while it is sent, never as a whole."""
+"""The content of a file, its path, or its https address. A path is read while it is sent, never as a whole.
+
+What has an address is fetched by the server.
+"""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,9 @@ class Upload:
     spec: RefinementSpec
     files: Mapping[str, Source]  # by their names in the request: mesh, silhouette, ignore, silhouette_2, ...
     idempotency_key: str
+    urls: Mapping[str, str] = field(
+        default_factory=dict
+    )  # of files that the server fetches, by the same names
 
     @contextmanager
     def opened(self) -> Iterator[dict[str, OpenFile]]:
@@ -70,7 +78,7 @@ def make_upload(
 ) -> Upload:
     """Check everything but the files; InvalidInput, the server's errors, if something is wrong."""
     if mesh_format is None and not isinstance(mesh, bytes):
-        mesh_format = format_of_name(os.fspath(mesh))
+        mesh_format = format_of_name(urlsplit(mesh).path if is_address(mesh) else os.fspath(mesh))
     try:
         spec = RefinementSpec.model_validate(
             {
@@ -92,7 +100,15 @@ def make_upload(
         for part, file in ((SILHOUETTE, view.silhouette), (IGNORE, view.ignore))
         if file is not None
     }
-    return Upload(spec, {MESH: mesh, **images}, key)
+    sources: dict[str, Source] = {MESH: mesh, **images}
+    urls = {name: source for name, source in sources.items() if is_address(source)}
+    files = {name: source for name, source in sources.items() if name not in urls}
+    return Upload(spec, files, key, urls)
+
+
+def is_address(source: Source) -> TypeIs[str]:
+    """Whether the server fetches it."""
+    return isinstance(source, str) and source.startswith(("https://", "http://"))
 
 
 @contextmanager

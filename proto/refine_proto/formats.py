@@ -25,6 +25,11 @@ def of_view(part: str, number: int) -> str:
     return part if number == 1 else f"{part}_{number}"
 
 
+def address_of(part: str) -> str:
+    """The name of the field that has the address of a file in the place of its bytes: `mesh_url`, ..."""
+    return f"{part}_url"
+
+
 IMAGE_PARTS = tuple(of_view(part, n) for n in range(1, MAX_VIEWS + 1) for part in (SILHOUETTE, IGNORE))
 """The names of all images that a request may have: parts over REST, file chunks over gRPC, blobs."""
 

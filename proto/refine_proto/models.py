@@ -34,6 +34,7 @@ from .formats import MeshFormat as MeshFormat
 from .metadata import Metadata as Metadata
 from .open_enum import OpenEnum, of_newer_version
 from .strict import Input, Number, Positive
+from .webhooks import Url
 from .webhooks import Webhook as Webhook
 from .webhooks import WebhookDelivery as WebhookDelivery
 from .webhooks import WebhookEvent as WebhookEvent
@@ -177,12 +178,14 @@ class RefinementSpec(Input):
 
 
 class ImageFiles(Input):
-    """The image files of one view, in base64."""
+    """The image files of one view, in base64 or by their addresses: one of the two."""
 
-    silhouette: Base64Bytes = Field(description="The silhouette image file.")
+    silhouette: Base64Bytes | None = Field(None, description="The silhouette image file.")
+    silhouette_url: Url | None = Field(None, description="Or its https address.")
     ignore: Base64Bytes | None = Field(
         None, description="An image of the same size: where it shows an object, nothing is known."
     )
+    ignore_url: Url | None = Field(None, description="Or its https address.")
 
 
 class ViewRequest(View, ImageFiles):
@@ -190,9 +193,10 @@ class ViewRequest(View, ImageFiles):
 
 
 class RefinementRequest(RefinementSpec, ImageFiles):
-    """The JSON body of `POST /v1/refinements`: a spec and its files in base64."""
+    """The JSON body of `POST /v1/refinements`: a spec and its files."""
 
-    mesh: Base64Bytes = Field(description="The coarse mesh file.")
+    mesh: Base64Bytes | None = Field(None, description="The coarse mesh file.")
+    mesh_url: Url | None = Field(None, description="Or its https address.")
     views: Sequence[ViewRequest] = Field((), max_length=MAX_VIEWS - 1, description="Further views.")
 
 

@@ -52,7 +52,8 @@ class ServiceSettings(EnvironmentSettings):
         20, gt=0, description="How long a call waits for a worker slot that answers a question."
     )
     reachable_networks: Annotated[tuple[Network, ...], BeforeValidator(_split)] = Field(
-        (), description="Private networks that webhooks may reach, also over http: 10.1.0.0/16,127.0.0.1"
+        (),
+        description="Private networks that callers may name, also over http: 10.1.0.0/16,127.0.0.1",
     )
     grace_s: float = Field(20, gt=0, description="From SIGTERM until calls that still run are cut off.")
     tls_certificate: Path | None = Field(None, description="Certificate chain (PEM) of REST and gRPC.")

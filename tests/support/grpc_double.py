@@ -44,6 +44,7 @@ class _Servicer(RefinementsServicer):
             upload.setdefault(name, bytearray()).extend(data)
             upload["chunks"].append(len(data))
         upload |= to_model(header.spec, RefinementSpec).model_dump(mode="json", exclude_none=True)
+        upload |= {f"{name}_url": url for name, url in header.file_urls.items()}
         upload["announced"] = (header.mesh_bytes, header.silhouette_bytes)
         return header.request_id, upload
 

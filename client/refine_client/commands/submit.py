@@ -14,7 +14,7 @@ from refine_proto.commands.options import add_options, add_views, read_options, 
 from refine_proto.errors import InvalidInput
 from refine_proto.models import MeshFormat, WebhookEvent
 
-from ..upload import View
+from ..upload import View, is_address
 from .server_command import add_metadata, command, connect, make_parser, read_metadata
 from .watch import see_through
 
@@ -108,15 +108,19 @@ def submit_parser() -> Parser:
     return parser
 
 
+def _source(text: str) -> Path | str:
+    return text if is_address(text) else Path(text)
+
+
 def add_files(parser: Parser) -> None:
     """The arguments that name what is sent."""
     parser.add_argument(
         "mesh",
-        type=Path,
+        type=_source,
         metavar="MESH",
-        help="GLB, glTF, OBJ, PLY, STL, OFF, voxels (binvox, NPZ), or a ZIP",
+        help="GLB, glTF, OBJ, PLY, STL, OFF, voxels (binvox, NPZ), or a ZIP; or its https address",
     )
-    add_views(parser)
+    add_views(parser, _source)
     parser.add_argument(
         "--mesh-format", choices=list(MeshFormat), metavar="FORMAT", help="(the suffix of MESH)"
     )

@@ -60,8 +60,9 @@ def create(upload: Upload, files: Mapping[str, OpenFile]) -> Iterator[refine_pb2
         header=request.Header(
             request_id=upload.idempotency_key,
             spec=to_message(upload.spec, refine_pb2.RefinementSpec),
-            mesh_bytes=files[MESH].size_bytes,
-            silhouette_bytes=files[SILHOUETTE].size_bytes,
+            mesh_bytes=files[MESH].size_bytes if MESH in files else None,
+            silhouette_bytes=files[SILHOUETTE].size_bytes if SILHOUETTE in files else None,
+            file_urls=upload.urls,
         )
     )
     for name, file in files.items():

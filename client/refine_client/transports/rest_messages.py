@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 
 from refine_proto import errors
 from refine_proto.errors import InvalidInput, NotFound, RefineError, ServerError, from_problem
+from refine_proto.formats import address_of
 from refine_proto.lists import RefinementFilter
 from refine_proto.models import Artifact, Event, EventType, ProblemDetails
 from refine_proto.tracing import current_traceparent
@@ -85,6 +86,7 @@ def parts(upload: Upload, files: Mapping[str, OpenFile]) -> list[Part]:
     fields = [(name, (None, json.dumps(spec[name]), "application/json")) for name in names]
     if upload.spec.mesh_format is not None:
         fields.append(("mesh_format", (None, str(upload.spec.mesh_format), "text/plain")))
+    fields += [(address_of(name), (None, url, "text/plain")) for name, url in upload.urls.items()]
     sent = [(name, (file.name, file.stream, "application/octet-stream")) for name, file in files.items()]
     return [*fields, *sent]
 

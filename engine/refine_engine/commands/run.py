@@ -97,9 +97,9 @@ def read_observations(arguments: argparse.Namespace) -> list[Observation]:
     """The views that the arguments of `add_files` name, at least one; raises InputError."""
     return [
         Observation(
-            read_file(paths.silhouette),
+            read_file(Path(paths.silhouette)),
             _camera(paths.camera, paths.place),
-            read_file(paths.ignore) if paths.ignore else None,
+            read_file(Path(paths.ignore)) if paths.ignore else None,
         )
         for paths in read_views(arguments)
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,16 +17,19 @@ from ..models import Checks, Preset, RefinementOptions, Symmetry, Topology
 class ViewPaths(NamedTuple):
     """The files of one view."""
 
-    silhouette: Path
+    silhouette: Path | str  # a text is an address
     camera: Path
-    ignore: Path | None = None
+    ignore: Path | str | None = None
     place: tuple[str | int, ...] = ("camera",)  # where the camera sits in a request
 
 
-def add_views(parser: argparse.ArgumentParser) -> None:
-    """The arguments for what was seen: a silhouette with its camera, and further views."""
+def add_views(parser: argparse.ArgumentParser, source: Callable[[str], Path | str] = Path) -> None:
+    """The arguments for what was seen: a silhouette with its camera, and further views.
+
+    `source` reads what names an image.
+    """
     parser.add_argument(
-        "silhouette", type=Path, metavar="SILHOUETTE",
+        "silhouette", type=source, metavar="SILHOUETTE",
         help="PNG, JPEG, WebP, TIFF or BMP: alpha, or white on black",
     )  # fmt: skip
     parser.add_argument(
@@ -33,10 +37,10 @@ def add_views(parser: argparse.ArgumentParser) -> None:
         help="of the silhouette; or transforms.json#FRAME, COLMAP_FOLDER#IMAGE",
     )  # fmt: skip
     parser.add_argument(
-        "--ignore", type=Path, metavar="IMAGE", help="where it shows an object, nothing is known (none)"
+        "--ignore", type=source, metavar="IMAGE", help="where it shows an object, nothing is known (none)"
     )
     parser.add_argument(
-        "--view", dest="views", action="append", default=[], type=Path, nargs="+",
+        "--view", dest="views", action="append", default=[], type=source, nargs="+",
         metavar=("SILHOUETTE CAMERA.json", "IGNORE"),
         help="a further view of the same object, as often as there are any",
     )  # fmt: skip
@@ -51,7 +55,7 @@ def read_views(arguments: argparse.Namespace) -> list[ViewPaths]:
                 f"file{'s' if len(paths) > 1 else ''}: {' '.join(map(str, paths))}"
             )
     further = [
-        ViewPaths(paths[0], paths[1], paths[2] if len(paths) > 2 else None, ("views", number, "camera"))
+        ViewPaths(paths[0], Path(paths[1]), paths[2] if len(paths) > 2 else None, ("views", number, "camera"))
         for number, paths in enumerate(arguments.views)
     ]
     if len(further) >= MAX_VIEWS:

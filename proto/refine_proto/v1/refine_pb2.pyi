@@ -547,16 +547,25 @@ class FieldError(_message.Message):
 class CreateRefinementRequest(_message.Message):
     __slots__ = ("header", "mesh_chunk", "silhouette_chunk", "file_chunk")
     class Header(_message.Message):
-        __slots__ = ("request_id", "spec", "mesh_bytes", "silhouette_bytes")
+        __slots__ = ("request_id", "spec", "mesh_bytes", "silhouette_bytes", "file_urls")
+        class FileUrlsEntry(_message.Message):
+            __slots__ = ("key", "value")
+            KEY_FIELD_NUMBER: _ClassVar[int]
+            VALUE_FIELD_NUMBER: _ClassVar[int]
+            key: str
+            value: str
+            def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
         REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
         SPEC_FIELD_NUMBER: _ClassVar[int]
         MESH_BYTES_FIELD_NUMBER: _ClassVar[int]
         SILHOUETTE_BYTES_FIELD_NUMBER: _ClassVar[int]
+        FILE_URLS_FIELD_NUMBER: _ClassVar[int]
         request_id: str
         spec: RefinementSpec
         mesh_bytes: int
         silhouette_bytes: int
-        def __init__(self, request_id: _Optional[str] = ..., spec: _Optional[_Union[RefinementSpec, _Mapping]] = ..., mesh_bytes: _Optional[int] = ..., silhouette_bytes: _Optional[int] = ...) -> None: ...
+        file_urls: _containers.ScalarMap[str, str]
+        def __init__(self, request_id: _Optional[str] = ..., spec: _Optional[_Union[RefinementSpec, _Mapping]] = ..., mesh_bytes: _Optional[int] = ..., silhouette_bytes: _Optional[int] = ..., file_urls: _Optional[_Mapping[str, str]] = ...) -> None: ...
     HEADER_FIELD_NUMBER: _ClassVar[int]
     MESH_CHUNK_FIELD_NUMBER: _ClassVar[int]
     SILHOUETTE_CHUNK_FIELD_NUMBER: _ClassVar[int]

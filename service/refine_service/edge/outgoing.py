@@ -33,7 +33,10 @@ class AddressRefused(ValueError):
 
 async def resolve(host: str, port: int) -> list[str]:
     """The addresses of a host; OSError if it has none."""
-    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    try:
+        found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except UnicodeError:  # a label that is too long
+        raise socket.gaierror(f"expected the name of a host, got {host[:80]!r}") from None
     return list(dict.fromkeys(str(entry[4][0]) for entry in found))
 
 

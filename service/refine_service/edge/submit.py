@@ -10,8 +10,8 @@ import asyncio
 import logging
 import tempfile
 from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from contextlib import aclosing, asynccontextmanager
+from dataclasses import dataclass, field
 from typing import BinaryIO, cast
 
 from starlette.datastructures import UploadFile
@@ -34,6 +34,7 @@ from refine_proto.models import CameraSpec, FieldError, RefinementSpec
 from ..settings import ServiceSettings
 from .call import Call
 from .edge import Edge
+from .fetch import fetch, file_name
 from .file_checks import check_camera_size, image_size, recognise_mesh
 from .webhooks import check_webhook
 
@@ -50,9 +51,10 @@ class Upload:
     """A submission as it was read: the files are rewound and belong to this object."""
 
     spec: RefinementSpec
-    files: Mapping[
-        str, UploadFile
-    ]  # by their names in the request: mesh, silhouette, ignore, silhouette_2, ...
+    files: dict[str, UploadFile]  # by their names in the request: mesh, silhouette, ignore, silhouette_2, ...
+    urls: Mapping[str, str] = field(
+        default_factory=dict
+    )  # of files that are to be fetched, by the same names
 
     async def aclose(self) -> None:
         """Remove the temporary files."""
@@ -82,7 +84,9 @@ def filled_file(data: bytes) -> UploadFile:
 async def submit(
     edge: Edge, call: Call, upload: Upload, idempotency_key: str | None, task: Task = Task.REFINE
 ) -> Submitted:
-    """Check, store and submit."""
+    """Fetch what has an address, check, store and submit."""
+    _check_parts(upload)
+    await _fetch_files(edge, upload)
     spec = edge.store.check_options(await _checked(upload, edge.settings))
     if task is Task.REFINE:
         check_webhook(edge, call.owner, spec)
@@ -120,7 +124,6 @@ async def submit(
 
 async def _checked(upload: Upload, settings: ServiceSettings) -> RefinementSpec:
     """The spec with the format of the mesh, after all checks that need only the files' headers."""
-    _check_parts(upload)
     mesh, images = upload.files[MESH], {name: file for name, file in upload.files.items() if name != MESH}
     check_size(MESH, mesh.size or 0, settings.max_mesh_bytes)
     check_size(SILHOUETTE, sum(file.size or 0 for file in images.values()), settings.max_silhouette_bytes)
@@ -133,16 +136,37 @@ async def _checked(upload: Upload, settings: ServiceSettings) -> RefinementSpec:
 
 
 def _check_parts(upload: Upload) -> None:
-    """Raise InvalidInput unless every view, and no other, has a silhouette."""
+    """Raise InvalidInput unless every view, and no other, has a silhouette, as a file or an address."""
+    for name in upload.files.keys() & upload.urls.keys():
+        raise from_validation([{"loc": (name,), "msg": "expected the file or its address, got both"}])
     views = range(1, len(upload.cameras) + 1)
     wanted = {MESH, *(of_view(SILHOUETTE, number) for number in views)}
     allowed = wanted | {of_view(IGNORE, number) for number in views}
-    given = set(upload.files)
+    given = {*upload.files, *upload.urls}
     missing, surplus = sorted(wanted - given), sorted(given - allowed)
     if missing or surplus:
         no_view = f"expected no file of this name, got one: `views` has {len(views) - 1} further cameras"
         told = [*((name, "expected a file, got none") for name in missing), *((n, no_view) for n in surplus)]
         raise from_validation([{"loc": (name,), "msg": message} for name, message in told])
+
+
+async def _fetch_files(edge: Edge, upload: Upload) -> None:
+    """Fill `upload.files` from its addresses, no further than the limits."""
+    settings = edge.settings
+    image_bytes = sum(file.size or 0 for name, file in upload.files.items() if name != MESH)
+    async with receiving(settings):
+        for name, url in upload.urls.items():
+            upload.files[name] = file = new_file()
+            file.filename = file_name(url)
+            async with aclosing(fetch(edge.outgoing, name, url)) as chunks:
+                async for chunk in chunks:
+                    if name == MESH:
+                        check_size(MESH, (file.size or 0) + len(chunk), settings.max_mesh_bytes)
+                    else:
+                        image_bytes += len(chunk)
+                        check_size(SILHOUETTE, image_bytes, settings.max_silhouette_bytes)
+                    await file.write(chunk)
+            await file.seek(0)
 
 
 def check_size(part: str, size_bytes: int, limit_bytes: int) -> None:

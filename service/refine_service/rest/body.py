@@ -12,13 +12,15 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.types import Message
 
 from refine_proto.errors import FormatUnsupported, PayloadTooLarge, from_validation
-from refine_proto.formats import IGNORE, IMAGE_PARTS, MESH, SILHOUETTE, of_view
+from refine_proto.formats import IGNORE, IMAGE_PARTS, MESH, SILHOUETTE, address_of, of_view
 from refine_proto.models import RefinementRequest, RefinementSpec, View
+from refine_proto.webhooks import URL
 
 from ..edge.submit import Upload, filled_file, new_file, receiving
 from ..settings import ServiceSettings
 
 _FILES = (MESH, *IMAGE_PARTS)
+_URLS = {address_of(name): name for name in _FILES}
 _JSON_FIELDS = ("camera", "options", "views", "webhook", "metadata")
 _MAX_FIELDS = 32  # more than there are: an unknown one is named, not counted
 _FIELD_BYTES = 64 * 1024
@@ -46,8 +48,10 @@ async def _read_multipart(request: Request, settings: ServiceSettings) -> Upload
         max_files=_MAX_FIELDS, max_fields=_MAX_FIELDS, max_part_size=_FIELD_BYTES
     )
     try:
-        files = {name: _file(form, name) for name in _FILES if name in form or name in (MESH, SILHOUETTE)}
-        return Upload(await _spec(form), files)
+        files = {name: _file(form, name) for name in _FILES if name in form}
+        values = await _values(form)
+        urls = {part: _url(name, values.pop(name)) for name, part in _URLS.items() if name in values}
+        return Upload(_spec(values), files, urls)
     except BaseException:
         await form.close()
         raise
@@ -57,11 +61,18 @@ def _file(form: FormData, name: str) -> UploadFile:
     value = form.get(name)
     if isinstance(value, UploadFile):
         return value
-    got = "none" if value is None else "a field without a file name"
-    raise from_validation([{"loc": (name,), "msg": f"expected a file, got {got}"}])
+    message = f"expected a file, got a field without a file name; its address goes into {address_of(name)}"
+    raise from_validation([{"loc": (name,), "msg": message}])
 
 
-async def _spec(form: FormData) -> RefinementSpec:
+def _url(name: str, text: Any) -> str:
+    try:
+        return URL.validate_python(text)
+    except ValidationError as error:
+        raise from_validation(error.errors(), under=(name,)) from None
+
+
+async def _values(form: FormData) -> dict[str, Any]:
     """From the fields beside the files; `curl -F camera=@camera.json` sends a field as a file."""
     values: dict[str, Any] = {}
     for name, value in form.multi_items():
@@ -73,6 +84,10 @@ async def _spec(form: FormData) -> RefinementSpec:
         if len(text) > _FIELD_BYTES:
             raise PayloadTooLarge(f"expected at most {_FIELD_BYTES} bytes in the field {name}, got more")
         values[name] = _parse(name, text) if name in _JSON_FIELDS else _text(text)
+    return values
+
+
+def _spec(values: dict[str, Any]) -> RefinementSpec:
     try:
         return RefinementSpec.model_validate(values)
     except ValidationError as error:
@@ -126,13 +141,16 @@ def _parse_json(body: BinaryIO) -> Upload:
         webhook=parsed.webhook,
         metadata=parsed.metadata,
     )
-    images = {
-        of_view(part, number): getattr(view, part)
-        for number, view in enumerate((parsed, *parsed.views), 1)
-        for part in (SILHOUETTE, IGNORE)
-    }
-    files = {MESH: parsed.mesh, **{name: data for name, data in images.items() if data is not None}}
-    return Upload(spec, {name: filled_file(data) for name, data in files.items()})
+    files, urls = {MESH: parsed.mesh}, {MESH: parsed.mesh_url}
+    for number, view in enumerate((parsed, *parsed.views), 1):
+        for part in (SILHOUETTE, IGNORE):
+            files[of_view(part, number)] = getattr(view, part)
+            urls[of_view(part, number)] = getattr(view, address_of(part))
+    return Upload(
+        spec,
+        {name: filled_file(data) for name, data in files.items() if data is not None},
+        {name: url for name, url in urls.items() if url is not None},
+    )
 
 
 def _check_values(text: bytes) -> None:

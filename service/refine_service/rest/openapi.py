@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
 from refine_proto.errors import TABLE, error_class
-from refine_proto.formats import ARTIFACTS, IMAGE_PARTS, SILHOUETTE_THRESHOLD, ArtifactName
+from refine_proto.formats import ARTIFACTS, IMAGE_PARTS, MESH, SILHOUETTE_THRESHOLD, ArtifactName, address_of
 from refine_proto.models import Event, ProblemDetails, Refinement, RefinementRequest, View
 
 _REFERENCE = "#/components/schemas/{model}"
@@ -117,7 +117,7 @@ CREATE_BODY: dict[str, Any] = {
         "multipart/form-data": {
             "schema": {
                 "type": "object",
-                "required": ["mesh", "silhouette", "camera"],
+                "required": ["camera"],
                 "additionalProperties": False,
                 "properties": {
                     "mesh": {"type": "string", "format": "binary", "description": "The coarse mesh file."},
@@ -130,6 +130,14 @@ CREATE_BODY: dict[str, Any] = {
                     "webhook": {"$ref": _REFERENCE.format(model="Webhook")},
                     "metadata": {"$ref": _REFERENCE.format(model="Metadata")},
                     **{name: {"type": "string", "format": "binary"} for name in IMAGE_PARTS[2:]},
+                    **{
+                        address_of(name): {
+                            "type": "string",
+                            "maxLength": 2048,
+                            "description": f"https address of `{name}`, in its place.",
+                        }
+                        for name in (MESH, *IMAGE_PARTS)
+                    },
                 },
             },
             "encoding": {

@@ -9,9 +9,10 @@ from starlette.datastructures import UploadFile
 
 from refine_proto.convert import to_model
 from refine_proto.errors import InvalidInput, from_validation
-from refine_proto.formats import IMAGE_PARTS, MESH, SILHOUETTE
+from refine_proto.formats import IMAGE_PARTS, MESH, SILHOUETTE, address_of
 from refine_proto.models import RefinementSpec
 from refine_proto.v1 import refine_pb2 as pb
+from refine_proto.webhooks import URL
 
 from ..edge.submit import Upload, check_size, new_file, receiving
 from ..settings import ServiceSettings
@@ -24,7 +25,9 @@ async def read_messages(
     async with receiving(settings):
         header = await _header(messages, settings)
         spec = _spec(header)
-        upload = Upload(spec, files := {MESH: new_file(), SILHOUETTE: new_file()})
+        urls = _urls(header)
+        files = {name: new_file() for name in (MESH, SILHOUETTE) if name not in urls}
+        upload = Upload(spec, files, urls)
         try:
             await _fill(files, messages, settings)
         except BaseException:
@@ -50,6 +53,17 @@ def _spec(header: pb.CreateRefinementRequest.Header) -> RefinementSpec:
         return to_model(header.spec, RefinementSpec)
     except ValidationError as error:
         raise from_validation(error.errors()) from None
+
+
+def _urls(header: pb.CreateRefinementRequest.Header) -> dict[str, str]:
+    for name, url in header.file_urls.items():
+        if name not in (MESH, *IMAGE_PARTS):
+            raise InvalidInput(f"expected file_urls of {', '.join((MESH, *IMAGE_PARTS))}, got {name[:40]!r}")
+        try:
+            URL.validate_python(url)
+        except ValidationError as error:
+            raise from_validation(error.errors(), under=(address_of(name),)) from None
+    return dict(header.file_urls)
 
 
 async def _fill(

@@ -74,6 +74,16 @@ def test_submit_names_who_is_told_of_the_end(submission: list[str], script: Scri
     assert upload["webhook"] == {"url": "https://example.com", "events": ["failed", "cancelled"]}
 
 
+def test_submit_names_the_addresses_of_files(submission: list[str], script: Script, capsys: Output) -> None:
+    mesh, image = "https://example.com//a.ply", "https://example.com/b.png"
+    view = ["--view", image, submission[3], image]
+    assert submit_command([mesh, image, *submission[2:], *view]) == 0
+    (upload,) = script.uploads.values()
+    assert [upload[f"{name}_url"] for name in ("mesh", "silhouette", "silhouette_2", "ignore_2")] == [
+        mesh, image, image, image
+    ]  # fmt: skip
+
+
 def test_submit_writes_metadata(submission: list[str], script: Script, capsys: Output) -> None:
     assert submit_command([*submission, "--metadata", "set=chairs", "--metadata", "n=1=2"]) == 0
     (upload,) = script.uploads.values()

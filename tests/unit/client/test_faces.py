@@ -47,6 +47,14 @@ def test_submit_names_who_is_told_of_the_end(face: Face, script: Script, camera:
         face.call("submit", b"mesh", b"png", camera, webhook={"url": "example.com"})
 
 
+def test_submit_names_the_addresses_of_files(face: Face, script: Script, camera: Camera) -> None:
+    mesh, side = "https://example.com/a.ply?key=b", "https://example.com/side.png"
+    face.call("submit", mesh, b"png", camera, views=[View(side, camera)])
+    (upload,) = script.uploads.values()
+    assert (upload["mesh_url"], upload["silhouette_2_url"], upload["silhouette"]) == (mesh, side, b"png")
+    assert (upload["mesh_format"], "mesh" in upload) == ("ply", False)
+
+
 def test_submit_takes_contents_too(face: Face, script: Script, camera: Camera) -> None:
     face.call("submit", b"glTF...", b"png", camera)
     (upload,) = script.uploads.values()
