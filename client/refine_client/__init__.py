@@ -10,6 +10,7 @@ from refine_proto.camera_files import read_camera_file
 from refine_proto.webhook_messages import WebhookInvalid, WebhookMessage, verify_webhook
 
 from .aio import AsyncRefineClient
+from .cases import Case, read_cases
 from .client import RefineClient, Refined
 from .errors import ConnectionLost, DownloadCorrupt
 from .retry import RetryPolicy
@@ -17,6 +18,7 @@ from .upload import View
 
 __all__ = [
     "AsyncRefineClient",
+    "Case",
     "ConnectionLost",
     "DownloadCorrupt",
     "RefineClient",
@@ -26,5 +28,6 @@ __all__ = [
     "WebhookInvalid",
     "WebhookMessage",
     "read_camera_file",
+    "read_cases",
     "verify_webhook",
 ]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+import uuid
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import aclosing, suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -28,7 +30,8 @@ from refine_proto.models import (
 from refine_proto.tracing import call_span
 
 from .address import Connection
-from .client import PAGE, Refined
+from .cases import Case, folder_of
+from .client import AT_ONCE, PAGE, Refined, ignore
 from .errors import error_of
 from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
@@ -196,19 +199,57 @@ class AsyncRefineClient:
         refinement = await self.submit(
             mesh, silhouette, camera, options, ignore=ignore, views=views, mesh_format=mesh_format
         )
+
+        def tell(event: Event) -> None:
+            if event.progress is not None and progress is not None:
+                progress(event.progress)
+
+        return await self._see_through(refinement, directory, tell)
+
+    async def submit_many(
+        self, cases: Iterable[Case], *, idempotency_key: str | None = None
+    ) -> Sequence[Refinement | RefineError | OSError]:
+        """See RefineClient.submit_many."""
+        key = idempotency_key or str(uuid.uuid4())
+        sent: list[Refinement | RefineError | OSError] = []
+        for number, case in enumerate(cases, 1):
+            try:
+                sent.append(await self.submit(**case.arguments(), idempotency_key=f"{key}/{number}"))
+            except (RefineError, OSError) as error:
+                sent.append(error)
+        return sent
+
+    async def refine_many(
+        self,
+        cases: Iterable[Case],
+        directory: str | os.PathLike[str],
+        *,
+        idempotency_key: str | None = None,
+        at_once: int = AT_ONCE,
+        progress: Callable[[int, Event], None] | None = None,
+    ) -> Sequence[Refined | RefineError | OSError]:
+        """See RefineClient.refine_many; `progress` is called in the loop."""
+        key = idempotency_key or str(uuid.uuid4())
+        free = asyncio.Semaphore(at_once)
+
+        async def one(number: int, case: Case) -> Refined | RefineError | OSError:
+            tell = partial(progress, number) if progress is not None else ignore
+            async with free:
+                try:
+                    refinement = await self.submit(**case.arguments(), idempotency_key=f"{key}/{number}")
+                    return await self._see_through(refinement, folder_of(Path(directory), number), tell)
+                except (RefineError, OSError) as error:
+                    return error
+
+        Path(directory).mkdir(parents=True, exist_ok=True)
+        calls = [asyncio.create_task(one(number, case)) for number, case in enumerate(cases, 1)]
         try:
-            async with aclosing(self.watch(refinement.id)) as events:
-                async for event in events:
-                    if event.progress is not None and progress is not None:
-                        progress(event.progress)
-                    refinement = event.refinement or refinement
+            return await asyncio.gather(*calls)
         except BaseException:
-            with suppress(RefineError):
-                await self._transport.cancel(refinement.id)
+            for call in calls:
+                call.cancel()
+            await asyncio.gather(*calls, return_exceptions=True)
             raise
-        if error := error_of(refinement):
-            raise error
-        return Refined(refinement, await self.download(refinement.id, directory))
 
     async def close(self) -> None:
         """Close the connections."""
@@ -224,6 +265,23 @@ class AsyncRefineClient:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self._connection.server!r})"
+
+    async def _see_through(
+        self, refinement: Refinement, directory: str | os.PathLike[str], tell: Callable[[Event], None]
+    ) -> Refined:
+        """See RefineClient._see_through."""
+        try:
+            async with aclosing(self.watch(refinement.id)) as events:
+                async for event in events:
+                    tell(event)
+                    refinement = event.refinement or refinement
+        except BaseException:
+            with suppress(RefineError):
+                await self._transport.cancel(refinement.id)
+            raise
+        if error := error_of(refinement):
+            raise error
+        return Refined(refinement, await self.download(refinement.id, directory))
 
     async def _retried(self, attempt: Callable[[], Awaitable[T]]) -> T:
         retries = Retries(self._policy)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
+import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -29,6 +33,7 @@ from refine_proto.models import (
 from refine_proto.tracing import call_span
 
 from .address import Connection
+from .cases import Case, folder_of
 from .errors import error_of
 from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
@@ -38,6 +43,7 @@ from .upload import Source, View, make_upload
 
 T = TypeVar("T")
 PAGE = 100  # the longest
+AT_ONCE = 8  # cases
 
 
 @dataclass(frozen=True)
@@ -254,18 +260,85 @@ class RefineClient:
         refinement = self.submit(
             mesh, silhouette, camera, options, ignore=ignore, views=views, mesh_format=mesh_format
         )
-        try:
-            for event in self.watch(refinement.id):
-                if event.progress is not None and progress is not None:
-                    progress(event.progress)
-                refinement = event.refinement or refinement
-        except BaseException:
-            with suppress(RefineError):
-                self._transport.cancel(refinement.id)
-            raise
-        if error := error_of(refinement):
-            raise error
-        return Refined(refinement, self.download(refinement.id, directory))
+
+        def tell(event: Event) -> None:
+            if event.progress is not None and progress is not None:
+                progress(event.progress)
+
+        return self._see_through(refinement, directory, tell)
+
+    def submit_many(
+        self, cases: Iterable[Case], *, idempotency_key: str | None = None
+    ) -> Sequence[Refinement | RefineError | OSError]:
+        """Send many refinements, one after the other: for each the queued one, or why there is none.
+
+        Args:
+            cases: What is sent.
+            idempotency_key: Of all of them: sending the same cases with it again gives the same refinements.
+                Default: a new one.
+        """
+        key = idempotency_key or str(uuid.uuid4())
+        sent: list[Refinement | RefineError | OSError] = []
+        for number, case in enumerate(cases, 1):
+            try:
+                sent.append(self.submit(**case.arguments(), idempotency_key=f"{key}/{number}"))
+            except (RefineError, OSError) as error:
+                sent.append(error)
+        return sent
+
+    def refine_many(
+        self,
+        cases: Iterable[Case],
+        directory: str | os.PathLike[str],
+        *,
+        idempotency_key: str | None = None,
+        at_once: int = AT_ONCE,
+        progress: Callable[[int, Event], None] | None = None,
+    ) -> Sequence[Refined | RefineError | OSError]:
+        """Submit, follow and download many: for each, in order, what `refine` returns or raises.
+
+        If that is interrupted, those that are on their way are cancelled. If the program died, the same cases
+        with the same key go on where they were.
+
+        Args:
+            cases: What is sent.
+            directory: The artifacts of the first go to `directory/0001`, and so on.
+            idempotency_key: As for `submit_many`.
+            at_once: How many are on their way at a time.
+            progress: Called with the number of the case, counted from 1, and each of its events, from several
+                threads.
+        """
+        key = idempotency_key or str(uuid.uuid4())
+        on_their_way: set[str] = set()
+        stopped = threading.Event()
+
+        def one(number: int, case: Case) -> Refined | RefineError | OSError:
+            tell = partial(progress, number) if progress is not None else ignore
+            try:
+                refinement = self.submit(**case.arguments(), idempotency_key=f"{key}/{number}")
+                on_their_way.add(refinement.id)
+                if stopped.is_set():
+                    self._transport.cancel(refinement.id)
+                refined = self._see_through(refinement, folder_of(Path(directory), number), tell)
+                on_their_way.discard(refinement.id)
+                return refined
+            except (RefineError, OSError) as error:
+                return error
+
+        Path(directory).mkdir(parents=True, exist_ok=True)
+        with ThreadPoolExecutor(at_once) as pool:
+            calls = [pool.submit(one, number, case) for number, case in enumerate(cases, 1)]
+            try:
+                for call in wait(calls, return_when=FIRST_EXCEPTION).done:
+                    call.result()  # raises what `progress` has
+                return [call.result() for call in calls]
+            except BaseException:
+                stopped.set()
+                pool.shutdown(wait=False, cancel_futures=True)
+                for refinement_id in tuple(on_their_way):  # which ends their threads
+                    with suppress(RefineError):
+                        self._transport.cancel(refinement_id)
+                raise
 
     def close(self) -> None:
         """Close the connections."""
@@ -281,6 +354,22 @@ class RefineClient:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self._connection.server!r})"
+
+    def _see_through(
+        self, refinement: Refinement, directory: str | os.PathLike[str], tell: Callable[[Event], None]
+    ) -> Refined:
+        """Follow and download; if following is interrupted, the refinement is cancelled."""
+        try:
+            for event in self.watch(refinement.id):
+                tell(event)
+                refinement = event.refinement or refinement
+        except BaseException:
+            with suppress(RefineError):
+                self._transport.cancel(refinement.id)
+            raise
+        if error := error_of(refinement):
+            raise error
+        return Refined(refinement, self.download(refinement.id, directory))
 
     def _retried(self, attempt: Callable[[], T]) -> T:
         retries = Retries(self._policy)
@@ -304,3 +393,7 @@ class RefineClient:
                     return file.finish()
                 except Busy as error:
                     time.sleep(retries.delay_s(error))
+
+
+def ignore(event: Event) -> None:
+    """Nobody wants to know."""

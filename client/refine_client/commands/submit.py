@@ -15,12 +15,14 @@ from refine_proto.errors import InvalidInput
 from refine_proto.models import MeshFormat, WebhookEvent
 
 from ..upload import View, is_address
+from .batch import run_batch
 from .server_command import add_metadata, command, connect, make_parser, read_metadata
 from .watch import see_through
 
 EXAMPLE = """\
   refine submit coarse.glb silhouette.png --camera camera.json --wait -o out
   id=$(refine submit coarse.glb silhouette.png --camera camera.json) && refine watch "$id"
+  refine submit --batch cases.jsonl -o out      many at once: refine submit --batch cases.jsonl --help
 
 camera.json
   {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.9, "fov_y_degrees": 60}
@@ -29,8 +31,10 @@ camera.json
 
 
 @command
-def submit_command(argv: Sequence[str]) -> None:
+def submit_command(argv: Sequence[str]) -> int | None:
     """Run `refine submit`."""
+    if any(word.partition("=")[0] == "--batch" for word in argv):
+        return run_batch(argv)
     arguments = submit_parser().parse_args(argv)
     first, *further = read_view_files(arguments)
     options = read_options(arguments)
@@ -51,7 +55,7 @@ def submit_command(argv: Sequence[str]) -> None:
         )
         if not arguments.wait and arguments.output is None:
             print(refinement.model_dump_json(exclude_none=True) if arguments.json else refinement.id)
-            return
+            return None
         try:
             see_through(client, refinement, arguments.json, arguments.output)
         except KeyboardInterrupt:
@@ -61,6 +65,7 @@ def submit_command(argv: Sequence[str]) -> None:
             )
             print(f"the refinement goes on; {again}, or {stop}", file=sys.stderr)
             raise
+    return None
 
 
 def _output(arguments: argparse.Namespace) -> str:
