@@ -72,9 +72,9 @@ async def _take(edge: Edge) -> PendingWebhook | None:
 async def _attempt(edge: Edge, webhook: PendingWebhook) -> None:
     """One attempt. What goes wrong with it is logged, and the lease brings the webhook back."""
     try:
-        body = webhook.body or await _body(edge, webhook)
-        status, error = await _send(edge, webhook, body) if body else (None, "the refinement is gone")
-        retry_s = _retry_s(webhook.attempt) if body and error is not None and status != _GONE else None
+        body, status, error = await _tell(edge, webhook)
+        given_up = body is None or error is None or status == _GONE
+        retry_s = None if given_up else _retry_s(webhook.attempt)
         now = datetime.now(UTC)
         delivery = WebhookDelivery(
             attempt=webhook.attempt,
@@ -83,7 +83,7 @@ async def _attempt(edge: Edge, webhook: PendingWebhook) -> None:
             error=error,
             next_attempt_at=now + timedelta(seconds=retry_s) if retry_s is not None else None,
         )
-        await edge.outbox.settle(webhook, delivery, retry_s, body)
+        await edge.outbox.settle(webhook, delivery, retry_s, body or "")
         level = logging.INFO if error is None else logging.WARNING
         log.log(level, "webhook of %s: attempt %s: %s", webhook.id, webhook.attempt, error or status)
     except Unavailable:
@@ -92,12 +92,27 @@ async def _attempt(edge: Edge, webhook: PendingWebhook) -> None:
         log.exception("webhook of %s: attempt %s", webhook.id, webhook.attempt)
 
 
-async def _body(edge: Edge, webhook: PendingWebhook) -> str:
-    """The message, the same for every attempt; empty if the refinement is gone and was never told."""
+async def _tell(edge: Edge, webhook: PendingWebhook) -> tuple[str | None, int | None, str | None]:
+    """The message, None if there is none left to tell; the status of the answer; why it was not delivered."""
+    body = webhook.body
+    try:
+        body = body or await _body(edge, webhook)
+        if body is None:
+            return None, None, "the refinement is gone"
+        return body, *await _send(edge, webhook, body)
+    except Unavailable:
+        raise
+    except Exception:  # of ours: it may be gone with the next version, so it counts as any other failure
+        log.exception("webhook of %s: attempt %s", webhook.id, webhook.attempt)
+        return body or "", None, "expected to send it, got an error of the server; its log says more"
+
+
+async def _body(edge: Edge, webhook: PendingWebhook) -> str | None:
+    """The message, the same for every attempt; None if the refinement is gone and was never told."""
     try:
         refinement = await edge.refinement(webhook.owner, webhook.id)
     except (NotFound, Expired):
-        return ""
+        return None
     message = WebhookMessage(
         type=f"refinement.{webhook.state}",
         timestamp=instant(webhook.ended_ms),

@@ -5,6 +5,7 @@ The Redis is this file's own: another service on the same one would deliver as w
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -187,6 +188,26 @@ def test_an_expired_refinement_still_tells_what_it_told_before(client: RefineCli
         until(lambda: hand.redis.zcard(keys.OUTBOX), lambda left: left == 0)
     assert first.body == second.body
     assert hand.redis.hget(keys.JOB + refinement.id, "state") == "expired"
+
+
+def test_an_error_of_the_server_is_an_attempt_like_any_other(client: RefineClient, hand: Hand) -> None:
+    with receive(Receiver(statuses=(503, 200))) as receiver:
+        refinement = submit(client, receiver.url)
+        client.cancel(refinement.id)
+        deliveries(client, refinement.id, 1)
+        record = keys.JOB + refinement.id
+        hand.redis.hset(record, "checks", "{}")  # which cannot be read
+        hand.redis.hdel(keys.WEBHOOK + refinement.id, "body")
+        make_due(hand.redis, refinement.id)
+        until(
+            lambda: json.loads(str(hand.redis.hget(record, "webhook_deliveries"))), lambda all: len(all) == 2
+        )
+        hand.redis.hset(record, "checks", "[]")
+        last = deliveries(client, refinement.id, 2)[-1]
+        assert "an error of the server" in str(last.error)
+        assert last.next_attempt_at is not None
+        make_due(hand.redis, refinement.id)
+        receiver.wait(2)
 
 
 def test_secrets_change_over(tmp_path: Path) -> None:
