@@ -15,6 +15,8 @@ worker_store     WorkerStore: jobs as a slot and the reaper see them, synchronou
 webhook_outbox   calls to whoever waits for a job's end, due and failed ones, until they arrive
 feed             the events of jobs, for any number of watchers
 reaper           lost slots, lost deliveries, old data: put right now and then
+share            how the slots are shared: cost, flow, priority
+load             what waits and runs, and when a job is therefore expected to end
 slots            what a slot says of itself
 logs             one JSON object per line, for service and worker
 build            the metric that tells which version runs

@@ -36,8 +36,11 @@ class Delivery:
         self.queue = Queue(keys.queue(pool), connection=self._redis, serializer=JSONSerializer)
         self.queue.redis_server_version = MINIMUM_REDIS  # RQ would ask the server
 
-    def enqueue(self, job_id: str, attempt: int, timeout_s: float, at_front: bool = False) -> Words:
-        """Commands that deliver the job for its `attempt` (1 the first time)."""
+    def enqueue(self, job_id: str, attempt: int, timeout_s: float) -> Words:
+        """What delivers the job for its `attempt` (1 the first time): RQ's list, the delivery, RQ's commands.
+
+        RQ appends to its list; the script moves the delivery to where it belongs.
+        """
         delivery = self.queue.create_job(
             TASK,
             args=(job_id,),
@@ -48,17 +51,18 @@ class Delivery:
             status=JobStatus.QUEUED,
             description=job_id,
         )
-        return self._record(lambda p: self.queue.enqueue_job(delivery, pipeline=p, at_front=at_front))
+        commands = self._record(lambda p: self.queue.enqueue_job(delivery, pipeline=p))
+        return [self.queue.key, delivery.id, *commands]
 
     def withdraw(self, job_id: str, attempt: int) -> Words:
-        """Commands that take a delivery out of the queue; harmless if a worker has it."""
+        """What takes a delivery out of the queue, harmless if a worker has it: RQ's list, the commands."""
         rq_id = delivery_id(job_id, attempt)
 
         def remove(pipeline: Pipeline) -> None:
             self.queue.remove(rq_id, pipeline=pipeline)
             pipeline.delete(RqJob.key_for(rq_id))
 
-        return self._record(remove)
+        return [self.queue.key, *self._record(remove)]
 
     def _record(self, speak: Callable[[Pipeline], object]) -> Words:
         pipeline = self._redis.pipeline()

@@ -35,10 +35,12 @@ from . import keys
 from .delivery import Delivery
 from .durable import Durable
 from .feed import EventFeed
+from .load import LOAD_VALUES, ask_load, read_load
 from .record import Job, Submission, Task, encode, to_json
 from .redis_server import RETRY_S, unavailable
 from .scripts import Clock, Scripts
 from .settings import JobSettings
+from .share import Share
 
 _LOOK = 100  # records that a list reads at a time; the longest page
 _MOST_LOOKS = 10  # of one page
@@ -117,6 +119,7 @@ class JobStore:
             {
                 "spec": spec,
                 "task": submission.task,
+                **vars(Share.of(submission)),
                 "mesh": submission.mesh,
                 "silhouette": submission.silhouette,
                 "more_files": submission.more_files or None,
@@ -137,7 +140,7 @@ class JobStore:
             int(settings.retention_s * 1000),
             len(record),
             *record,
-            *self._delivery.enqueue(submission.id, 1, timeout_s, at_front=submission.task is not Task.REFINE),
+            *self._delivery.enqueue(submission.id, 1, timeout_s),
         )
         self._check_room(outcome)
         if outcome == "reused":
@@ -158,8 +161,10 @@ class JobStore:
         async with self._redis.pipeline(transaction=False) as pipe:
             pipe.hgetall(keys.JOB + job_id)
             pipe.zrank(keys.QUEUED, job_id)
-            fields, rank = await pipe.execute()
-        return _owned(owner, job_id, fields).refinement(rank)
+            ask_load(pipe)
+            fields, rank, *load = await pipe.execute()
+        job = _owned(owner, job_id, fields)
+        return job.refinement(rank, read_load(load).eta_s(job, rank))
 
     @unavailable
     async def answer(self, owner: str, job_id: str) -> Mapping[str, Any] | None:
@@ -211,9 +216,14 @@ class JobStore:
             for job_id in job_ids:
                 pipe.hgetall(keys.JOB + job_id)
                 pipe.zrank(keys.QUEUED, job_id)
+            ask_load(pipe)
             values = await pipe.execute()
+        load, values = read_load(values[-LOAD_VALUES:]), values[:-LOAD_VALUES]
         read = ((Job.read(fields), rank) for fields, rank in zip(values[::2], values[1::2], strict=True))
-        return [job.refinement(rank) if job and job.task is Task.REFINE else None for job, rank in read]
+        return [
+            job.refinement(rank, load.eta_s(job, rank)) if job and job.task is Task.REFINE else None
+            for job, rank in read
+        ]
 
     async def watch(self, owner: str, job_id: str, after_sequence: int = 0) -> AsyncGenerator[Event, None]:
         """The events after a sequence number, past and to come; ends after the completed one.

@@ -19,13 +19,13 @@ _WRITES = ("aof_last_write_status", "aof_last_bgrewrite_status", "rdb_last_bgsav
 class Installation:
     """Jobs and their Redis at one moment, the same whoever asks.
 
-    `counters` has `jobs:<state>:<reason>` ended jobs; `requeued:<cause>` attempts that ended before their
+    `counters` has `submitted:refinements`, `submitted:questions`; `jobs:<state>:<reason>` ended refinements,
+    `questions:<state>:<reason>` ended questions; `requeued:<cause>` attempts that ended before their
     job did; `queue_s:<bound>` and `run_s:<bound>` durations of up to bound seconds and more than the bound
     before (`inf` the rest), `queue_s:sum_ms` and `run_s:sum_ms` in total.
     """
 
     counters: Mapping[str, int]
-    submitted: int
     queued: int
     running: int
     oldest_queued_age_s: float  # 0 when nothing waits
@@ -52,18 +52,16 @@ class Health:
         """One round trip, whose cost does not depend on the number of jobs."""
         async with self._redis.pipeline(transaction=False) as pipe:
             pipe.hgetall(keys.METRICS)
-            pipe.get(keys.SUBMISSIONS)
             pipe.zcard(keys.QUEUED)
             pipe.zcard(keys.LEASES)
             pipe.zrange(keys.QUEUED_SINCE, 0, 0, withscores=True)
             pipe.time()
             pipe.info("persistence")
             pipe.info("memory")
-            counters, submitted, queued, running, oldest, now, persistence, memory = await pipe.execute()
+            counters, queued, running, oldest, now, persistence, memory = await pipe.execute()
         now_s = now[0] + now[1] / 1e6
         return Installation(
             counters={name: int(value) for name, value in counters.items()},
-            submitted=int(submitted or 0),
             queued=queued,
             running=running,
             oldest_queued_age_s=max(0.0, now_s - oldest[0][1] / 1000) if oldest else 0.0,

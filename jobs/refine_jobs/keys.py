@@ -14,8 +14,13 @@ EVENTS = "refine:events:"  # + id: stream of state, progress and completed event
 OWNER = "refine:owner:"  # + owner: sorted set of ids by submission number, for lists
 IDEMPOTENCY = "refine:idempotency:"  # + owner + ":" + sha256 of the key: "<id> <fingerprint>"
 SUBMISSIONS = "refine:submissions"  # counter: the submission number
-QUEUED = "refine:queued"  # sorted set of queued ids by submission number: queue position, global bound
+QUEUED = "refine:queued"  # sorted set of queued ids by tag (lua/README.md): queue position, global bound
 QUEUED_SINCE = "refine:queued-since"  # sorted set of queued ids by the time they entered the queue: its delay
+QUEUED_COST = "refine:queued-cost"  # sum of cost_ms of QUEUED
+FLOW = "refine:flow:"  # + flow (share.py): sorted set of its queued ids by submission number
+FLOWS = "refine:flows"  # sorted set of flows by where the next job of each may start
+VIRTUAL_TIME = "refine:virtual-time"  # the tag that has begun, milliseconds of estimated work
+PACE = "refine:pace"  # milliseconds of a run for one that was estimated; a mean that follows
 QUEUED_BY_OWNER = "refine:queued-by-owner"  # hash owner -> queued jobs; changes together with QUEUED
 LEASES = "refine:leases"  # sorted set of running ids by the end of their lease
 EXPIRY = "refine:expiry"  # sorted set of ended ids by the time their data goes
@@ -52,6 +57,11 @@ def lua_constants() -> str:
         "SUBMISSIONS": SUBMISSIONS,
         "QUEUED": QUEUED,
         "QUEUED_SINCE": QUEUED_SINCE,
+        "QUEUED_COST": QUEUED_COST,
+        "FLOW": FLOW,
+        "FLOWS": FLOWS,
+        "VIRTUAL_TIME": VIRTUAL_TIME,
+        "PACE": PACE,
         "QUEUED_BY_OWNER": QUEUED_BY_OWNER,
         "LEASES": LEASES,
         "EXPIRY": EXPIRY,

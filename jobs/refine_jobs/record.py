@@ -96,6 +96,7 @@ class Job(BaseModel):
     request_id: str | None = None
     traceparent: str | None = None
     sequence: int = 0  # of its last event
+    cost_ms: int | None = None  # estimated, see share.py; None: of a former version
 
     @classmethod
     def decode(cls, fields: Mapping[str, str]) -> Self:
@@ -130,7 +131,7 @@ class Job(BaseModel):
         """Of all files."""
         return sum(blob.size_bytes for blob in (self.mesh, self.silhouette, *self.more_files.values()))
 
-    def refinement(self, queue_position: int | None = None) -> Refinement:
+    def refinement(self, queue_position: int | None = None, eta_s: float | None = None) -> Refinement:
         """What the contract shows; the edge adds URLs."""
         return Refinement(
             id=self.id,
@@ -145,6 +146,7 @@ class Job(BaseModel):
             finished_at=self.finished_at,
             expires_at=self.expires_at,
             queue_position=queue_position,
+            eta_s=eta_s,
             silhouette_iou=self.silhouette_iou,
             checks=list(self.checks),
             attempt=self.attempt,

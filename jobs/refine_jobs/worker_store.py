@@ -78,14 +78,14 @@ class WorkerStore:
         self._end(job, State.CANCELLED, "", [])
 
     def give_back(self, job: Job, why: str) -> State:
-        """The slot cannot go on, through no fault of the job: queue it again, in front.
+        """The slot cannot go on, through no fault of the job: queue it again, at its place.
 
         Returns QUEUED, or CANCELLED if it was to be cancelled. Raises LeaseLost.
         """
         return self._held(job, self._give_back(job, "now", WorkerLost(why)))
 
     def lose(self, job: Job, error: RefineError) -> State:
-        """The attempt is lost, perhaps by the job's own doing: queue it again, in front, if it may lose one.
+        """The attempt is lost, perhaps by the job's own doing: queue it again, if it may lose one.
 
         Returns QUEUED, CANCELLED if it was to be cancelled, or FAILED, with `error`. Raises LeaseLost.
         """
@@ -132,7 +132,7 @@ class WorkerStore:
         return [
             job.id
             for job in self._jobs(missing)
-            if self._run("requeue", job.id, job.attempt, *self._enqueue_in_front(job))
+            if self._run("requeue", job.id, job.attempt, *self._enqueue(job))
         ]
 
     def expire(self) -> list[str]:
@@ -211,12 +211,12 @@ class WorkerStore:
             self._retention_ms,
             last.reason,
             to_json(last.problem(request_id=job.request_id)),
-            *self._enqueue_in_front(job),
+            *self._enqueue(job),
         )
         return state
 
-    def _enqueue_in_front(self, job: Job) -> list[Any]:
-        return self._delivery.enqueue(job.id, job.attempt + 1, job.timeout_s, at_front=True)
+    def _enqueue(self, job: Job) -> list[Any]:
+        return self._delivery.enqueue(job.id, job.attempt + 1, job.timeout_s)
 
     def _due(self, key: str, age_s: int = 0) -> list[str]:
         until = self._now_ms() - age_s * 1000

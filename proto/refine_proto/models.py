@@ -65,11 +65,20 @@ class Topology(StrEnum):
     FIXED = "fixed"  # all
 
 
+class Priority(StrEnum):
+    """Which of the queued refinements are to start sooner."""
+
+    LOW = "low"  # after others' of the next minute, with a quarter of a share
+    NORMAL = "normal"
+    HIGH = "high"  # before others' of the last minute, with four shares
+
+
 _KINDS: Mapping[str, type[StrEnum]] = {
     "preset": Preset,
     "symmetry": Symmetry,
     "topology": Topology,
     "checks": Checks,
+    "priority": Priority,
 }
 
 
@@ -118,6 +127,9 @@ class RefinementOptions(Input):
         description="Inputs that look wrong: refuse them (strict), only what cannot be meant (warn), none.",
     )
 
+    priority: Priority = Field(
+        Priority.NORMAL, description="Sooner (high) or later (low) than others'; the API key sets the limit."
+    )
     ignore_grey: int | None = Field(
         None,
         ge=0,
@@ -340,6 +352,9 @@ class Refinement(Output):
         description="When the record and its artifacts are removed; before the end, not sooner than this."
     )
     queue_position: int | None = Field(None, description="Jobs ahead of this one; only while queued.")
+    eta_s: float | None = Field(
+        None, description="Seconds until it is expected to end; unset: it has ended, or nothing tells yet."
+    )
     silhouette_iou: SilhouetteIou | None = None
     attempt: int = Field(0, description="How often a worker has started it.")
     checks: list[Finding] = Field([], description="What looked wrong with the inputs.")

@@ -143,6 +143,7 @@ def a_refinement() -> models.Refinement:
         started_at=now,
         expires_at=now,
         queue_position=0,
+        eta_s=12.5,
         silhouette_iou=models.SilhouetteIou(before=0.0, after=0.9),
         attempt=1,
         checks=[a_finding()],

@@ -14,7 +14,7 @@ from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
 from refine_jobs.edge_store import JobStore, Submitted
 from refine_jobs.embedded import EmbeddedRedis
-from refine_jobs.record import Submission
+from refine_jobs.record import Submission, Task
 from refine_jobs.redis_server import connect, connect_async, connect_for_rq
 from refine_jobs.settings import JobSettings
 from refine_jobs.worker_store import WorkerStore
@@ -95,6 +95,7 @@ class Jobs:
         key: str | None = None,
         content: bytes | None = None,
         spec: RefinementSpec = SPEC,
+        task: Task = Task.REFINE,
     ) -> Submitted:
         """Upload two blobs (of `content`, or like no other) and submit them."""
         content = f"mesh {next(self._number)}".encode() if content is None else content
@@ -106,6 +107,7 @@ class Jobs:
                 id=job_id,
                 owner=owner,
                 spec=spec,
+                task=task,
                 mesh=mesh,
                 silhouette=silhouette,
                 idempotency_key=key,

@@ -25,12 +25,13 @@ from redis import Redis
 from refine_jobs import keys
 from refine_jobs.blobs import Blob
 from refine_jobs.edge_store import JobStore
-from refine_jobs.record import Job, Submission
+from refine_jobs.record import Job, Submission, Task
 from refine_jobs.redis_server import connect_async
 from refine_jobs.settings import JobSettings
+from refine_jobs.share import Share
 from refine_jobs.worker_store import LeaseLost, WorkerStore
 from refine_proto.errors import Conflict, IdempotencyKeyReused, MeshInvalid, WorkerLost
-from refine_proto.models import Event, Progress, RefinementSpec, State
+from refine_proto.models import Event, Priority, Progress, RefinementOptions, RefinementSpec, State
 
 if TYPE_CHECKING:
     from .conftest import HandClock
@@ -40,7 +41,7 @@ SPEC = RefinementSpec.model_validate(
     {"camera": {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 10, "distance": 1.9}}
 )
 HALF = Progress(iteration=1, total=2, percent=50.0)
-SMALL = JobSettings(lease_s=15, retention_s=100, max_attempts=2, max_queued=3, max_queued_per_owner=2)
+SMALL = JobSettings(lease_s=15, retention_s=100, max_attempts=2, max_queued=5, max_queued_per_owner=4)
 RQ_QUEUE = "rq:queue:refine-default"
 OWNERS = st.sampled_from(["ann", "ann", "bob"])
 SECONDS = st.sampled_from([1, 14, 15, 30, 100])  # on both sides of lease_s, MISSING_S and retention_s
@@ -90,18 +91,35 @@ class JobStoreMachine(RuleBasedStateMachine):
 
     # ---- the edge ----
 
-    @rule(owner=OWNERS, key=st.sampled_from([None, "k"]), content=st.sampled_from("xxy"))
-    def submit(self, owner: str, key: str | None, content: str) -> None:
+    @rule(
+        owner=OWNERS,
+        key=st.sampled_from([None, None, "k"]),
+        content=st.sampled_from("xxy"),
+        task=st.sampled_from([Task.REFINE, Task.REFINE, Task.VALIDATE]),
+        priority=st.sampled_from(Priority),
+        iterations=st.sampled_from([1, 100, 5_000]),
+    )
+    def submit(
+        self, owner: str, key: str | None, content: str, task: Task, priority: Priority, iterations: int
+    ) -> None:
         if no_room := self.model.no_room(owner):
             with pytest.raises(no_room):
                 self.run(self.edge.begin_upload(owner))
             return
         upload = self.run(self.edge.begin_upload(owner))
         blob = Blob(1, content)
+        options = RefinementOptions(priority=priority, iterations=iterations)
         submission = Submission(
-            id=upload, owner=owner, spec=SPEC, mesh=blob, silhouette=blob, idempotency_key=key
+            id=upload,
+            owner=owner,
+            spec=SPEC.model_copy(update={"options": options}),
+            task=task,
+            mesh=blob,
+            silhouette=blob,
+            idempotency_key=key,
         )
-        job = self.model.submit(upload, owner, key, content)
+        content += f" {priority} {iterations}"
+        job = self.model.submit(upload, owner, key, content, Share.of(submission))
         if job.content != content:
             with pytest.raises(IdempotencyKeyReused, match=job.id):
                 self.run(self.edge.submit(submission))
@@ -242,7 +260,7 @@ class JobStoreMachine(RuleBasedStateMachine):
 
     @invariant()
     def records_agree(self) -> None:
-        ahead = {job.id: n for n, job in enumerate(job for job in self.model.kept() if job.queued)}
+        ahead = {job.id: n for n, job in enumerate(self.model.queue())}
         for job in self.model.jobs.values():
             if not self.is_refused(job, job.owner, self.edge.get):
                 shown = self.run(self.edge.get(job.owner, job.id))
@@ -253,7 +271,7 @@ class JobStoreMachine(RuleBasedStateMachine):
     def lists_agree(self) -> None:
         for owner in ("ann", "bob"):
             page = self.run(self.edge.list(owner, limit=100))
-            mine = [job.id for job in self.model.kept() if job.owner == owner]
+            mine = [job.id for job in self.model.kept() if job.owner == owner and not job.is_question]
             assert [shown.id for shown in page.refinements] == mine[::-1]
 
     @invariant()
@@ -264,6 +282,11 @@ class JobStoreMachine(RuleBasedStateMachine):
         assert self.ids(keys.LEASES) == {job.id for job in self.model.kept() if job.state in HELD}
         assert self.ids(keys.EXPIRY) == {job.id for job in self.model.kept() if job.state in ENDED}
         assert self.ids(keys.UPLOADS) == set()
+        queued = [job for job in self.model.kept() if job.queued]
+        for flow in {job.share.flow for job in self.model.jobs.values()}:
+            assert self.ids(keys.FLOW + flow) == {job.id for job in queued if job.share.flow == flow}
+        cost_ms = sum(job.share.cost_ms for job in queued)
+        assert int(self.redis.get(keys.QUEUED_COST) or 0) == cost_ms
         assert self.worker.trash() == self.model.trash
         assert self.redis.lrange(RQ_QUEUE, 0, -1) == self.model.deliveries
 

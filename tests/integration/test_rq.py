@@ -64,7 +64,8 @@ def test_our_commands_leave_what_rqs_own_enqueue_leaves(redis: Redis, rq_connect
     theirs = rq_connection.hgetall("rq:job:x-1")
     assert redis.lrange("rq:queue:refine-default", 0, -1) == ["x-1"]
     rq_connection.flushall()
-    words = Delivery("default").enqueue("x", 1, timeout_s=30)
+    queue_key, delivery, *words = Delivery("default").enqueue("x", 1, timeout_s=30)
+    assert (queue_key, delivery) == (queue.key, "x-1")
     server: Any = rq_connection  # execute_command has no types
     while words:
         count, rest = words[0], words[1:]

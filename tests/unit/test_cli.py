@@ -103,7 +103,7 @@ def test_run_and_submit_take_the_same_options() -> None:
     submit = vars(parser_of("submit").parse_args(files))
     options = set(RefinementOptions.model_fields)
     assert options & set(submit) == options
-    assert options & set(run) == options - {"timeout_s"}
+    assert options & set(run) == options - {"timeout_s", "priority"}
 
 
 def test_no_command_takes_more_cores_than_its_container_allows(

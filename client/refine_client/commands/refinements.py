@@ -153,10 +153,12 @@ def _show(refinement: Refinement, as_json: bool) -> None:
         print(refinement.model_dump_json(exclude_none=True))
         return
     iou, progress, error = refinement.silhouette_iou, refinement.progress, refinement.error
+    eta_s = refinement.eta_s
     ahead, plane, turn = refinement.queue_position, refinement.mirror_plane, refinement.camera_correction
     rows = {
         "id": refinement.id,
         "state": str(refinement.state) + (f", {ahead} ahead" if ahead is not None else ""),
+        "expected": eta_s is not None and f"in about {eta_s:.0f} s",
         "error": error and f"{error.reason}: {error.detail}",
         "progress": progress and f"{progress.iteration}/{progress.total} ({progress.percent:.0f} %)",
         "2D IoU": iou and f"{iou.before:.3f} -> {iou.after:.3f}",

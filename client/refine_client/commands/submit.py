@@ -12,7 +12,7 @@ from refine_proto.camera_files import read_camera_file
 from refine_proto.commands.ending import Parser
 from refine_proto.commands.options import add_options, add_views, read_options, read_views
 from refine_proto.errors import InvalidInput
-from refine_proto.models import MeshFormat, WebhookEvent
+from refine_proto.models import MeshFormat, Priority, WebhookEvent
 
 from ..upload import View, is_address
 from .batch import run_batch
@@ -107,9 +107,12 @@ def submit_parser() -> Parser:
         metavar="EVENT",
         help=f"which ends it is told: {', '.join(WebhookEvent)}, as often as there are any (all)",
     )  # fmt: skip
-    add_options(parser).add_argument(
-        "--timeout-s", type=float, metavar="S", help="longest running time (the server's)"
-    )
+    options = add_options(parser)
+    options.add_argument("--timeout-s", type=float, metavar="S", help="longest running time (the server's)")
+    options.add_argument(
+        "--priority", choices=list(Priority), metavar="PRIORITY",
+        help=f"{', '.join(Priority)}, as far as your key allows (normal)",
+    )  # fmt: skip
     return parser
 
 

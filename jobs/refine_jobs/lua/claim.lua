@@ -4,8 +4,10 @@ if field(id, 'state') ~= 'queued' then
   return nil
 end
 redis.call('HINCRBY', JOB .. id, 'attempt', 1)
-observe('queue_s', NOW - (redis.call('ZSCORE', QUEUED_SINCE, id) or field(id, 'created_ms')))
-leave_queue(id)
+if is_refinement(id) then
+  observe('queue_s', NOW - (redis.call('ZSCORE', QUEUED_SINCE, id) or field(id, 'created_ms')))
+end
+start_flow(id)
 redis.call('HSET', JOB .. id, 'slot', slot, 'started_ms', NOW)
 redis.call('ZADD', LEASES, NOW + lease_ms, id)
 set_state(id, 'running')

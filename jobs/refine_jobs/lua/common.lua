@@ -24,10 +24,46 @@ local function set_state(id, state)
   emit(id, 'state', state)
 end
 
-local function enter_queue(id)
-  redis.call('ZADD', QUEUED, field(id, 'number'), id)
+-- A number of the record that jobs of former versions do not have.
+local function amount(id, name)
+  return tonumber(field(id, name) or 0)
+end
+
+-- Whether the job is one that people count; a question is not.
+local function is_refinement(id)
+  return (field(id, 'task') or 'refine') == 'refine'
+end
+
+-- ---- the order of the queue: start-time fair queueing, see README.md ----
+
+local function virtual_time()
+  return tonumber(redis.call('GET', VIRTUAL_TIME) or 0)
+end
+
+local function flow_of(id)
+  return field(id, 'flow') or field(id, 'owner')
+end
+
+local function enter_queue(id, tag)
+  redis.call('ZADD', QUEUED, tag, id)
+  redis.call('ZADD', FLOW .. flow_of(id), field(id, 'number'), id)
   redis.call('ZADD', QUEUED_SINCE, NOW, id)
   redis.call('HINCRBY', QUEUED_BY_OWNER, field(id, 'owner'), 1)
+  redis.call('INCRBY', QUEUED_COST, amount(id, 'cost_ms'))
+end
+
+-- A new job starts after the last one of its flow, and not before the work that has begun.
+local function join_flow(id)
+  local now, flow = virtual_time(), flow_of(id)
+  local start = math.max(now, tonumber(redis.call('ZSCORE', FLOWS, flow) or 0))
+  redis.call('ZADD', FLOWS, start + amount(id, 'charge_ms'), flow)
+  redis.call('SET', VIRTUAL_TIME, now + 1) -- who comes later stays later
+  enter_queue(id, start - amount(id, 'head_start_ms'))
+end
+
+-- A job that has begun comes back to its place, or to the front if the others have passed it.
+local function rejoin_flow(id)
+  enter_queue(id, math.min(amount(id, 'tag'), virtual_time()))
 end
 
 local function leave_queue(id)
@@ -35,11 +71,63 @@ local function leave_queue(id)
   redis.call('ZREM', QUEUED_SINCE, id)
   if redis.call('ZREM', QUEUED, id) == 1 then
     local owner = field(id, 'owner')
+    redis.call('ZREM', FLOW .. flow_of(id), id)
+    redis.call('DECRBY', QUEUED_COST, amount(id, 'cost_ms'))
     if redis.call('HINCRBY', QUEUED_BY_OWNER, owner, -1) <= 0 then
       redis.call('HDEL', QUEUED_BY_OWNER, owner)
     end
+    if redis.call('ZCARD', QUEUED) == 0 then
+      redis.call('DEL', FLOWS, QUEUED_COST) -- nobody waits: what anybody has had is forgotten
+    end
   end
 end
+
+-- The job starts. A flow that the virtual time has passed is like a new one.
+local function start_flow(id)
+  local tag = tonumber(redis.call('ZSCORE', QUEUED, id))
+  local now = math.max(virtual_time(), tag)
+  redis.call('HSET', JOB .. id, 'tag', tag)
+  redis.call('SET', VIRTUAL_TIME, now)
+  redis.call('ZREMRANGEBYSCORE', FLOWS, '-inf', now)
+  leave_queue(id)
+end
+
+-- RQ's list in the order of QUEUED.
+local function rearrange(list)
+  local deliveries, tags, ids = redis.call('LRANGE', list, 0, -1), {}, {}
+  for _, delivery in ipairs(deliveries) do
+    ids[delivery] = string.match(delivery, '^(.*)-%d+$') or delivery
+    tags[delivery] = tonumber(redis.call('ZSCORE', QUEUED, ids[delivery]) or '-inf')
+  end
+  table.sort(deliveries, function(a, b)
+    if tags[a] ~= tags[b] then
+      return tags[a] < tags[b]
+    end
+    return ids[a] < ids[b]
+  end)
+  redis.call('DEL', list)
+  for _, delivery in ipairs(deliveries) do
+    redis.call('RPUSH', list, delivery)
+  end
+end
+
+-- A job goes that has not run: what it was charged is given back to those behind it in its flow.
+local function refund(id, list)
+  local flow, charge = flow_of(id), amount(id, 'charge_ms')
+  local behind = redis.call('ZRANGEBYSCORE', FLOW .. flow, '(' .. field(id, 'number'), '+inf')
+  for _, other in ipairs(behind) do
+    redis.call('ZINCRBY', QUEUED, -charge, other)
+  end
+  if redis.call('ZSCORE', FLOWS, flow) then
+    redis.call('ZINCRBY', FLOWS, -charge, flow)
+  end
+  leave_queue(id)
+  if #behind > 0 then
+    rearrange(list)
+  end
+end
+
+-- ---- ends ----
 
 -- A duration in milliseconds into the histogram `name` of METRICS.
 local function observe(name, duration)
@@ -52,6 +140,15 @@ local function observe(name, duration)
   end
   redis.call('HINCRBY', METRICS, name .. ':' .. bucket, 1)
   redis.call('HINCRBY', METRICS, name .. ':sum_ms', duration)
+end
+
+-- How long runs take against what was estimated: a mean that follows.
+local function keep_pace(run, cost)
+  if cost > 0 then
+    local newest = run / cost
+    local former = tonumber(redis.call('GET', PACE) or newest)
+    redis.call('SET', PACE, 0.8 * former + 0.2 * newest)
+  end
 end
 
 local function is_held(state)
@@ -96,10 +193,17 @@ end
 
 local function end_job(id, state, reason, retention_ms)
   local started = field(id, 'started_ms')
-  if started then
-    observe('run_s', NOW - started)
+  if is_refinement(id) then
+    if started then
+      observe('run_s', NOW - started)
+      if state == 'succeeded' then
+        keep_pace(NOW - started, amount(id, 'cost_ms'))
+      end
+    end
+    redis.call('HINCRBY', METRICS, 'jobs:' .. state .. ':' .. reason, 1)
+  else
+    redis.call('HINCRBY', METRICS, 'questions:' .. state .. ':' .. reason, 1)
   end
-  redis.call('HINCRBY', METRICS, 'jobs:' .. state .. ':' .. reason, 1)
   leave_queue(id)
   redis.call('ZREM', LEASES, id)
   local expires = NOW + retention_ms
@@ -131,3 +235,25 @@ local function run_commands(first)
   end
 end
 
+
+-- RQ's own enqueue, which appends; ARGV from `first` on: its list, the delivery, the commands. Then the delivery
+-- moves before that of the next job that RQ still has.
+local function enqueue(id, first)
+  local list, delivery = ARGV[first], ARGV[first + 1]
+  run_commands(first + 2)
+  local rank = redis.call('ZRANK', QUEUED, id) + 1
+  local next_id = redis.call('ZRANGE', QUEUED, rank, rank)[1]
+  if not next_id then
+    return
+  end
+  redis.call('RPOP', list)
+  while next_id do
+    local pivot = next_id .. '-' .. (field(next_id, 'attempt') + 1)
+    if redis.call('LINSERT', list, 'BEFORE', pivot, delivery) > 0 then
+      return
+    end
+    rank = rank + 1
+    next_id = redis.call('ZRANGE', QUEUED, rank, rank)[1]
+  end
+  redis.call('RPUSH', list, delivery)
+end

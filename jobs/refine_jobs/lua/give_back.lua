@@ -1,5 +1,5 @@
--- A job whose worker gives it back, or is gone, is queued again, at the front; one that has lost max_attempts
--- attempts fails. ARGV: id, attempt, how, max_attempts, retention_ms, reason and error if it fails, commands into RQ
+-- A job whose worker gives it back, or is gone, is queued again, at its place; one that has lost max_attempts
+-- attempts fails. ARGV: id, attempt, how, max_attempts, retention_ms, reason and error if it fails, RQ's enqueue
 -- how: 'now', which costs the job nothing; 'lost', an attempt; 'expired', an attempt, if the lease is over.
 -- Returns the new state, or nothing if nothing was done.
 local id, attempt, how, max_attempts, retention_ms, reason, problem = unpack(ARGV, 1, 7)
@@ -22,8 +22,8 @@ else
   redis.call('HINCRBY', METRICS, 'requeued:' .. (lost > 0 and 'lost' or 'returned'), 1)
   redis.call('ZREM', LEASES, id)
   redis.call('HDEL', JOB .. id, 'progress', 'started_ms', 'slot')
-  enter_queue(id)
+  rejoin_flow(id)
   set_state(id, 'queued')
-  run_commands(8)
+  enqueue(id, 8)
 end
 return field(id, 'state')

@@ -1,5 +1,5 @@
 -- A queued job that RQ does not know is enqueued again once it has been missing for MISSING_S.
--- ARGV: id, attempt, commands into RQ. Returns 1 if it was enqueued.
+-- ARGV: id, attempt, RQ's enqueue. Returns 1 if it was enqueued.
 local id, attempt = unpack(ARGV, 1, 2)
 if field(id, 'state') ~= 'queued' or field(id, 'attempt') ~= attempt then
   redis.call('HDEL', MISSING, id)
@@ -14,5 +14,5 @@ if NOW - since < MISSING_S * 1000 then
   return 0
 end
 redis.call('HDEL', MISSING, id)
-run_commands(3)
+enqueue(id, 3)
 return 1

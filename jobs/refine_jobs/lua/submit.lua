@@ -1,6 +1,6 @@
 -- The upload `id` becomes a queued job, in one step with idempotency, bounds and RQ's own enqueue commands.
 -- ARGV: id, owner, idempotency key or '', fingerprint, idempotency_ms, max_queued, max_queued_per_owner,
---       retention_ms, number of words of the record, field, value, ..., commands
+--       retention_ms, number of words of the record, field, value, ..., RQ's enqueue
 -- Returns {outcome, id of the job}; outcome: created, replayed, reused, queue_full, quota, upload_gone.
 local id, owner, key, fingerprint = unpack(ARGV, 1, 4)
 
@@ -33,7 +33,8 @@ redis.call('HSET', JOB .. id, unpack(ARGV, 10, 9 + words))
 redis.call('HSET', JOB .. id, 'id', id, 'owner', owner, 'number', number, 'attempt', 0,
   'created_ms', NOW, 'expires_ms', NOW + ARGV[8]) -- not sooner: its end sets the time
 redis.call('ZADD', OWNER .. owner, number, id)
-enter_queue(id)
+join_flow(id)
 set_state(id, 'queued')
-run_commands(10 + words)
+enqueue(id, 10 + words)
+redis.call('HINCRBY', METRICS, 'submitted:' .. (is_refinement(id) and 'refinements' or 'questions'), 1)
 return { 'created', id }

@@ -22,7 +22,10 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from refine_proto.errors import QuotaExceeded, Unauthenticated
+from refine_proto.models import Priority
 from refine_proto.webhook_messages import new_secret
+
+from .call import Call
 
 OWNER = r"^[A-Za-z0-9._@-]{1,64}$"
 ANONYMOUS = "anonymous"  # the owner of what is submitted without a key
@@ -38,6 +41,7 @@ class ApiKey(BaseModel):
     owner: str = Field(pattern=OWNER)
     sha256: str
     created_at: datetime
+    max_priority: Priority = Priority.NORMAL
 
 
 class WebhookSecret(BaseModel):
@@ -70,7 +74,7 @@ class ApiKeys:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._version: tuple[int, int, int] | None = None
-        self._owners: dict[str, str] = {}  # by sha256
+        self._keys: dict[str, ApiKey] = {}  # by sha256
         self._webhook_secrets: list[WebhookSecret] = []
 
     def all(self) -> list[ApiKey]:
@@ -87,11 +91,17 @@ class ApiKeys:
                 f"expected a file written by `refine keys`, {self._path}: {error}"
             ) from error
 
-    def add(self, owner: str) -> tuple[ApiKey, str]:
+    def add(self, owner: str, max_priority: Priority = Priority.NORMAL) -> tuple[ApiKey, str]:
         """A new key of `owner`: what is kept, and the key itself, which nobody can show again."""
         secret = f"refine_{secrets.token_urlsafe(32)}"
         digest = _sha256(secret)
-        key = ApiKey(id=digest[:12], owner=owner, sha256=digest, created_at=datetime.now(UTC))
+        key = ApiKey(
+            id=digest[:12],
+            owner=owner,
+            sha256=digest,
+            created_at=datetime.now(UTC),
+            max_priority=max_priority,
+        )
         with self._locked():
             file = self._read()
             self._write(file.model_copy(update={"keys": [*file.keys, key]}))
@@ -128,21 +138,21 @@ class ApiKeys:
         found = [each.secret for each in self._webhook_secrets if each.owner == owner and each.signs(now)]
         return found[::-1]
 
-    def owner_of(self, secret: str) -> str | None:
-        """The owner of a key, or None."""
+    def find(self, secret: str) -> ApiKey | None:
+        """What is kept of a key, or None."""
         self._refresh()
-        return self._owners.get(_sha256(secret))
+        return self._keys.get(_sha256(secret))
 
     def _refresh(self) -> None:
         try:
             stat = self._path.stat()
         except FileNotFoundError:
-            self._version, self._owners, self._webhook_secrets = None, {}, []
+            self._version, self._keys, self._webhook_secrets = None, {}, []
             return
         version = (stat.st_mtime_ns, stat.st_size, stat.st_ino)
         if version != self._version:
             file = self._read()
-            self._owners = {key.sha256: key.owner for key in file.keys}
+            self._keys = {key.sha256: key for key in file.keys}
             self._webhook_secrets = file.webhook_secrets
             self._version = version
 
@@ -182,25 +192,29 @@ class CallRate:
 
 
 class Auth:
-    """Turns the Authorization header into an owner."""
+    """Turns the Authorization header into an owner and what that may ask for."""
 
     def __init__(self, keys: ApiKeys, rate: CallRate, required: bool) -> None:
         self._keys, self._rate, self._required = keys, rate, required
 
-    def owner(self, authorization: str | None) -> str:
-        """The owner of the key; raises Unauthenticated and QuotaExceeded. A wrong key is never anonymous."""
+    def sign_in(self, call: Call, authorization: str | None) -> None:
+        """Write into `call` whose it is; raises Unauthenticated and QuotaExceeded.
+
+        A wrong key is never anonymous.
+        """
         if not authorization and not self._required:
-            return ANONYMOUS
+            call.owner, call.max_priority = ANONYMOUS, Priority.HIGH  # who has no key has nobody beside
+            return
         scheme, _, secret = (authorization or "").partition(" ")
         if scheme.lower() != "bearer" or not secret:
             raise Unauthenticated(
                 "expected the header `Authorization: Bearer <API key>`; ask the operator for a key"
             )
-        owner = self._keys.owner_of(secret.strip())
-        if owner is None:
+        key = self._keys.find(secret.strip())
+        if key is None:
             raise Unauthenticated("expected a valid API key, got an unknown or revoked one")
-        self._rate.take(owner)
-        return owner
+        self._rate.take(key.owner)
+        call.owner, call.max_priority = key.owner, key.max_priority
 
     def webhook_secrets(self, owner: str) -> list[str]:
         """What signs the owner's webhooks, newest first; none: the owner cannot have any."""

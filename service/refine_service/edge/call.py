@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from refine_jobs.logs import LOG_FIELDS
+from refine_proto.models import Priority
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._:-]{1,128}")
 _TRACEPARENT = re.compile(r"(?!ff)[0-9a-f]{2}-(?!0{32})[0-9a-f]{32}-(?!0{16})[0-9a-f]{16}-[0-9a-f]{2}")
@@ -23,6 +24,7 @@ class Call:
     traceparent: str | None = None  # W3C trace context, carried with the job to the worker
     owner: str = ""
     job_id: str | None = None
+    max_priority: Priority = Priority.NORMAL
 
     @classmethod
     def of(cls, headers: Mapping[str, str]) -> Self:

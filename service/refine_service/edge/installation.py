@@ -54,8 +54,10 @@ class _Installation(Collector):
 
     def _jobs(self) -> Iterator[Metric]:
         counted = self._counted
-        yield CounterMetricFamily("refine_submitted_jobs", "Accepted submissions.", counted.submitted)
-        yield self._ended()
+        submitted = counted.counters.get("submitted:refinements", 0)
+        yield CounterMetricFamily("refine_submitted_jobs", "Accepted refinements.", submitted)
+        yield self._ended("jobs", "refine_jobs", "Ended refinements.")
+        yield self._ended("questions", "refine_questions", "Ended questions: validations.")
         requeued = CounterMetricFamily(
             "refine_requeued_jobs", "Attempts that ended before their job did.", labels=["cause"]
         )
@@ -99,12 +101,12 @@ class _Installation(Collector):
                 "refine_blob_store_free_bytes", "Free bytes on the disk of the blobs.", space.free_bytes
             )
 
-    def _ended(self) -> Metric:
-        ended = CounterMetricFamily("refine_jobs", "Ended jobs.", labels=["state", "reason"])
+    def _ended(self, counted: str, name: str, text: str) -> Metric:
+        ended = CounterMetricFamily(name, text, labels=["state", "reason"])
         counts = {(str(state), reason): 0 for state, reason in _ENDS}
         for name, value in self._counted.counters.items():
             kind, _, end = name.partition(":")
-            if kind == "jobs":
+            if kind == counted:
                 state, _, reason = end.partition(":")
                 counts[state, reason] = value
         for labels, value in counts.items():

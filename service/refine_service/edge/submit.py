@@ -22,6 +22,7 @@ from refine_jobs.edge_store import Submitted
 from refine_jobs.record import Submission, Task
 from refine_jobs.spans import enqueue_span
 from refine_proto.errors import (
+    OptionsInvalid,
     PayloadTooLarge,
     Unavailable,
     UploadTimeout,
@@ -29,7 +30,7 @@ from refine_proto.errors import (
     from_validation,
 )
 from refine_proto.formats import HEAD_BYTES, IGNORE, MESH, SILHOUETTE, of_view
-from refine_proto.models import CameraSpec, FieldError, RefinementSpec
+from refine_proto.models import CameraSpec, FieldError, Priority, RefinementSpec
 
 from ..settings import ServiceSettings
 from .call import Call
@@ -85,6 +86,7 @@ async def submit(
     edge: Edge, call: Call, upload: Upload, idempotency_key: str | None, task: Task = Task.REFINE
 ) -> Submitted:
     """Fetch what has an address, check, store and submit."""
+    _check_priority(upload.spec.options.priority, call.max_priority)
     _check_parts(upload)
     await _fetch_files(edge, upload)
     spec = edge.store.check_options(await _checked(upload, edge.settings))
@@ -120,6 +122,17 @@ async def submit(
         )
     call.job_id = submitted.refinement.id
     return submitted
+
+
+def _check_priority(priority: Priority, limit: Priority) -> None:
+    """Raise OptionsInvalid for more than the key allows."""
+    order = list(Priority)
+    if order.index(priority) > order.index(limit):
+        detail = (
+            f"expected a priority of at most {limit} with this key, got {priority}; leave it out, or ask the "
+            "operator for a key that may"
+        )
+        raise OptionsInvalid(detail, errors=[FieldError(pointer="/options/priority", detail=detail)])
 
 
 async def _checked(upload: Upload, settings: ServiceSettings) -> RefinementSpec:

@@ -8,8 +8,11 @@ const OUTCOMES = {
   kept: "The mesh is returned as it came.",
 };
 
+const place = ({ queue_position: ahead }) => (ahead ? `Waiting; ${ahead} ahead of it` : "Waiting for a free worker");
+const end = ({ eta_s: left }) => (left == null ? "" : `, done in about ${seconds(left)}`);
+
 const STATES = {
-  queued: (refinement) => (refinement.queue_position ? `Waiting; ${refinement.queue_position} ahead of it.` : "Waiting for a free worker."),
+  queued: (refinement) => `${place(refinement)}${end(refinement)}.`,
   running: () => "Running.",
   cancelling: () => "Stopping.",
   succeeded: () => "Done.",

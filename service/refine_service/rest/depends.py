@@ -27,7 +27,7 @@ EdgeHere = Annotated[Edge, Depends(the_edge)]
 def the_call(request: Request, _: Annotated[object, Depends(bearer)]) -> Call:
     """The call of this request, signed in."""
     call = CALL.get()
-    call.owner = the_edge(request).auth.owner(request.headers.get("authorization"))
+    the_edge(request).auth.sign_in(call, request.headers.get("authorization"))
     return call
 
 

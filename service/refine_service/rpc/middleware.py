@@ -94,7 +94,7 @@ class RpcCalls(grpc.aio.ServerInterceptor):
         call.traceparent = work.traceparent or call.traceparent
         try:
             await context.send_initial_metadata((("x-request-id", call.request_id),))
-            call.owner = self._edge.auth.owner(metadata.get("authorization"))
+            self._edge.auth.sign_in(call, metadata.get("authorization"))
             yield
         except (asyncio.CancelledError, GeneratorExit):
             status = "CANCELLED"  # the caller has gone, or its deadline has passed

@@ -16,7 +16,8 @@ from redis import Redis
 from service_process import CAMERA, MESH, PNG, Hand, Service, run_service
 
 from refine_client import RefineClient
-from refine_proto.errors import NotFound, QueueFull, QuotaExceeded, Unauthenticated
+from refine_proto.errors import NotFound, OptionsInvalid, QueueFull, QuotaExceeded, Unauthenticated
+from refine_proto.models import Priority
 from refine_proto.v1 import refine_pb2 as pb
 from refine_proto.v1.refine_pb2_grpc import RefinementsStub
 from refine_service.edge.auth import ApiKeys, CallRate
@@ -166,8 +167,24 @@ def test_the_file_holds_no_key(tmp_path: Path) -> None:
     assert key not in file.read_text()
     assert re.search(r"[0-9a-f]{64}", file.read_text())
     assert file.stat().st_mode & 0o077 == 0
-    assert ApiKeys(file).owner_of(key) == "ann"
-    assert ApiKeys(file).owner_of(key[:-1]) is None
+    found = ApiKeys(file).find(key)
+    assert found is not None
+    assert found.owner == "ann"
+    assert ApiKeys(file).find(key[:-1]) is None
+
+
+@pytest.mark.parametrize("transport", ["rest", "grpc"])
+def test_a_key_sets_the_highest_priority(service: Service, folder: Path, transport: str) -> None:
+    usual = make_key(folder, "ann")
+    trusted = refine_keys(folder, "add", "eve", "--max-priority", "high").stdout.strip()
+    with service.client(transport, trusted) as client:
+        high = client.submit(MESH, PNG, CAMERA, mesh_format="obj", options={"priority": "high"})
+        assert high.options.priority is Priority.HIGH
+    with service.client(transport, usual) as client:
+        client.submit(MESH, PNG, CAMERA, mesh_format="obj", options={"priority": "low"})
+        with pytest.raises(OptionsInvalid, match="at most normal with this key, got high") as caught:
+            client.submit(MESH, PNG, CAMERA, mesh_format="obj", options={"priority": "high"})
+        assert caught.value.errors[0].pointer == "/options/priority"
 
 
 def test_bad_owners_and_files(tmp_path: Path) -> None:

@@ -220,4 +220,6 @@ def test_secrets_change_over(tmp_path: Path) -> None:
     assert ApiKeys(path).webhook_secrets("ann") == [second, first]
     third = file.add_webhook_secret("ann", timedelta())
     assert ApiKeys(path).webhook_secrets("ann") == [third]
-    assert ApiKeys(path).owner_of(key) == "ann"
+    found = ApiKeys(path).find(key)
+    assert found is not None
+    assert found.owner == "ann"
