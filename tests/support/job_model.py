@@ -201,7 +201,7 @@ class JobModel:
         self._forget_flows()
         if behind:
             places = {other.next_delivery: (other.tag, other.id) for other in self.queue()}
-            self.deliveries.sort(key=lambda d: places.get(d, (-math.inf, d.rpartition("-")[0])))
+            self.deliveries.sort(key=lambda d: places.get(d, (-math.inf, "")))
 
     def _forget_flows(self) -> None:
         if not self.queue():

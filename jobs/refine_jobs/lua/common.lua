@@ -92,22 +92,29 @@ local function start_flow(id)
   leave_queue(id)
 end
 
--- RQ's list in the order of QUEUED.
+-- RQ's list in the order of QUEUED; what it still has of jobs that no longer wait comes first and does nothing.
 local function rearrange(list)
-  local deliveries, tags, ids = redis.call('LRANGE', list, 0, -1), {}, {}
-  for _, delivery in ipairs(deliveries) do
-    ids[delivery] = string.match(delivery, '^(.*)-%d+$') or delivery
-    tags[delivery] = tonumber(redis.call('ZSCORE', QUEUED, ids[delivery]) or '-inf')
+  local queue, waits, deliveries, ordered = redis.call('ZRANGE', QUEUED, 0, -1), {}, {}, {}
+  for _, id in ipairs(queue) do
+    waits[id] = true
   end
-  table.sort(deliveries, function(a, b)
-    if tags[a] ~= tags[b] then
-      return tags[a] < tags[b]
+  for _, delivery in ipairs(redis.call('LRANGE', list, 0, -1)) do
+    local id = string.match(delivery, '^(.*)-%d+$')
+    if waits[id] then
+      deliveries[id] = deliveries[id] or {}
+      table.insert(deliveries[id], delivery)
+    else
+      table.insert(ordered, delivery)
     end
-    return ids[a] < ids[b]
-  end)
+  end
+  for _, id in ipairs(queue) do
+    for _, delivery in ipairs(deliveries[id] or {}) do
+      table.insert(ordered, delivery)
+    end
+  end
   redis.call('DEL', list)
-  for _, delivery in ipairs(deliveries) do
-    redis.call('RPUSH', list, delivery)
+  for first = 1, #ordered, 1000 do -- Lua passes a few thousand words at most
+    redis.call('RPUSH', list, unpack(ordered, first, math.min(first + 999, #ordered)))
   end
 end
 
