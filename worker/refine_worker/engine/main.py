@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import gc
 import logging
 import os
 import queue
@@ -51,6 +52,8 @@ def main(argv: Sequence[str]) -> None:
     )
     for preset in presets_to_warm(device):
         warm_up(device, preset)
+    gc.collect()
+    gc.freeze()  # what is loaded stays; the collection after each job looks at the job's objects only
     gpu_uuid = str(torch.cuda.get_device_properties(device).uuid) if device.type == "cuda" else None
     messages.send(connection, Ready(seconds=time.monotonic() - started, gpu_uuid=gpu_uuid))
     while True:
