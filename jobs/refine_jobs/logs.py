@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import sys
+import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -41,9 +43,36 @@ class JsonFormatter(logging.Formatter):
         return json.dumps(line, default=str)
 
 
-def configure_logs(**process_fields: str) -> None:
+class LineRate(logging.Filter):
+    """Lets so many lines through in a second, of errors and warnings and of the rest; tells what it left out.
+
+    A server that strangers can reach shall not fill its disk with what they did.
+    """
+
+    def __init__(self, lines_per_s: int, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._limit, self._clock = lines_per_s, clock
+        self._second = 0
+        self._counts: Counter[bool] = Counter()  # of this second, by whether they are warnings
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the line is written."""
+        second = int(self._clock())
+        if second != self._second:
+            left_out = sum(max(0, count - self._limit) for count in self._counts.values())
+            self._second, self._counts = second, Counter()
+            if left_out:
+                record.msg = f"{record.getMessage()} ({left_out} lines before this one were left out)"
+                record.args = ()
+        urgent = record.levelno >= logging.WARNING
+        self._counts[urgent] += 1
+        return self._counts[urgent] <= self._limit
+
+
+def configure_logs(*, lines_per_s: int = 1000, **process_fields: str) -> None:
     """Send all logs and warnings of this process to standard error; every line has `process_fields`."""
     handler = logging.StreamHandler(sys.stderr)
+    handler.addFilter(LineRate(lines_per_s))
     handler.setFormatter(JsonFormatter(process_fields))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.captureWarnings(True)

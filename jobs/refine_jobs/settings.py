@@ -9,6 +9,9 @@ from typing import Self
 
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 
+OWNER_ONLY = 0o077
+"""The umask of our processes: what they write (files 0600, folders 0700) is their user's alone."""
+
 
 class EnvironmentSettings(BaseModel):
     """Base of settings: field `redis_url` is read from REFINE_REDIS_URL; unset and empty mean the default."""

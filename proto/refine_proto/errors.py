@@ -6,7 +6,7 @@ RefineError                  itself only for a reason that a newer server has
 │   ├── PayloadTooLarge
 │   └── IdempotencyKeyReused
 ├── Refused                  the request as such
-│   ├── Unauthenticated, NotFound, Expired, Conflict
+│   ├── Unauthenticated, Forbidden, NotFound, Expired, Conflict
 │   └── MethodNotAllowed, NotReady, RangeNotSatisfiable
 ├── Busy                     try again after `retry_after_s`
 │   └── QuotaExceeded, QueueFull, Unavailable, Draining
@@ -52,6 +52,7 @@ TABLE: Mapping[str, Status] = {
     "PAYLOAD_TOO_LARGE": Status("Payload too large", 413, "RESOURCE_EXHAUSTED"),
     "IDEMPOTENCY_KEY_REUSED": Status("Idempotency key reused", 422, "ALREADY_EXISTS"),
     "UNAUTHENTICATED": Status("Not signed in", 401, "UNAUTHENTICATED"),
+    "FORBIDDEN": Status("Not allowed", 403, "PERMISSION_DENIED"),
     "NOT_FOUND": Status("Not found", 404, "NOT_FOUND"),
     "EXPIRED": Status("Expired", 410, "NOT_FOUND"),
     "CONFLICT": Status("Conflict with the current state", 409, "FAILED_PRECONDITION"),
@@ -164,6 +165,10 @@ class Refused(RefineError):
 
 class Unauthenticated(Refused):
     default_reason = "UNAUTHENTICATED"
+
+
+class Forbidden(Refused):
+    default_reason = "FORBIDDEN"
 
 
 class NotFound(Refused):

@@ -18,6 +18,10 @@ def _split(value: Any) -> Any:
     return [word.strip() for word in value.split(",")] if isinstance(value, str) else value
 
 
+def _words(value: Any) -> Any:
+    return [word.strip().rstrip("/") for word in value.split(",")] if isinstance(value, str) else value
+
+
 class ServiceSettings(EnvironmentSettings):
     """Where the service listens and what it lets in."""
 
@@ -28,6 +32,7 @@ class ServiceSettings(EnvironmentSettings):
     require_key: bool | None = Field(
         None, description="Whether every call needs an API key; unset: unless only this machine can connect."
     )
+    metrics_need_key: bool = Field(False, description="Whether /metrics needs a key with the scope admin.")
     requests_per_s: float = Field(50, gt=0, description="Calls of one API key to one service process.")
     max_mesh_bytes: int = Field(256 * _MIB, ge=1, description="Largest mesh file.")
     max_silhouette_bytes: int = Field(
@@ -40,6 +45,10 @@ class ServiceSettings(EnvironmentSettings):
     max_connections_per_address: int = Field(
         256, ge=1, description="Over HTTP from one address; of a proxy in front: all that it opens."
     )
+    max_uploads: int = Field(
+        128, ge=1, description="Bodies of submissions that are read at a time; of one owner three quarters."
+    )
+    max_watchers: int = Field(1000, ge=1, description="Event streams at a time; of one owner three quarters.")
     max_header_bytes: int = Field(64 * 1024, ge=1024, description="Largest head of one HTTP request.")
     head_timeout_s: float = Field(
         10, gt=0, description="From a connection or the last answer until the next request has its head."
@@ -47,6 +56,7 @@ class ServiceSettings(EnvironmentSettings):
     write_timeout_s: float = Field(
         60, gt=0, description="How long a caller over HTTP may take nothing of an answer that waits for it."
     )
+    log_lines_per_s: int = Field(1000, ge=1, description="Of warnings and errors, and of the other lines.")
     upload_timeout_s: float = Field(300, gt=0, description="Longest time that one upload may take.")
     answer_timeout_s: float = Field(
         20, gt=0, description="How long a call waits for a worker slot that answers a question."
@@ -56,6 +66,9 @@ class ServiceSettings(EnvironmentSettings):
         description="Private networks that callers may name, also over http: 10.1.0.0/16,127.0.0.1",
     )
     grace_s: float = Field(20, gt=0, description="From SIGTERM until calls that still run are cut off.")
+    cors_origins: Annotated[tuple[str, ...], BeforeValidator(_words)] = Field(
+        (), description="Origins whose pages may call, with commas: https://app.example; none."
+    )
     tls_certificate: Path | None = Field(None, description="Certificate chain (PEM) of REST and gRPC.")
     tls_key: Path | None = Field(None, description="Its private key (PEM).")
     grpc_reflection: bool = Field(False, description="Let gRPC clients list services and messages.")
@@ -67,9 +80,14 @@ class ServiceSettings(EnvironmentSettings):
         return self
 
     @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine can connect."""
+        return _is_loopback(self.host)
+
+    @property
     def key_required(self) -> bool:
         """require_key, or whether another machine can connect."""
-        return not _is_loopback(self.host) if self.require_key is None else self.require_key
+        return not self.is_loopback if self.require_key is None else self.require_key
 
     def keys_path(self, data_folder: Path) -> Path:
         """keys_file, or its place in the data folder."""

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-import psutil
 import pytest
 from service_process import Service, run_service
 from worker_process import wait_until
@@ -111,7 +110,7 @@ def test_idle_connections_make_room(patient: Service) -> None:
         for number in range(3 * MAX_CONNECTIONS):
             stack.enter_context(connect(patient, f"127.0.0.{number % 8 + 2}"))
         assert lives(patient)
-        assert open_connections(patient) <= MAX_CONNECTIONS
+        assert patient.open_connections(patient.http_address[1]) <= MAX_CONNECTIONS
 
 
 def test_one_address_has_its_share(patient: Service) -> None:
@@ -141,7 +140,10 @@ def test_an_answer_that_nobody_reads_is_given_up(service: Service) -> None:
         for _ in range(8):
             connection.sendall(request)
         assert connection.recv(100).startswith(b"HTTP/1.1 200 ")
-        wait_until(lambda: open_connections(service) == 0, "the end of the connection that reads nothing")
+        wait_until(
+            lambda: service.open_connections(service.http_address[1]) == 0,
+            "the end of the connection that reads nothing",
+        )
 
 
 def test_requests_before_their_answers_are_bounded(service: Service) -> None:
@@ -151,10 +153,3 @@ def test_requests_before_their_answers_are_bounded(service: Service) -> None:
         send_until_closed(connection, request * 5000, 20 * MIB)
     assert service.peak_memory_bytes() - before < 20 * MIB
     assert lives(service)
-
-
-def open_connections(service: Service) -> int:
-    """Over HTTP."""
-    port = service.http_address[1]
-    found = psutil.Process(service.process.pid).net_connections("tcp")
-    return sum(each.status == psutil.CONN_ESTABLISHED and each.laddr.port == port for each in found)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import psutil
 from judgement import JUDGEMENT
 from redis import Redis
 
@@ -84,6 +85,11 @@ class Service:
     def log(self) -> list[dict[str, Any]]:
         """The lines of its log."""
         return [json.loads(line) for line in self.log_path.read_text().splitlines()]
+
+    def open_connections(self, port: int) -> int:
+        """How many callers are connected to one of its ports."""
+        found = psutil.Process(self.process.pid).net_connections("tcp")
+        return sum(each.status == psutil.CONN_ESTABLISHED and each.laddr.port == port for each in found)
 
     def peak_memory_bytes(self) -> int:
         """The most resident memory it ever had (Linux)."""

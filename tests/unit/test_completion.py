@@ -16,7 +16,7 @@ QUESTIONS = [
     ("help down", {"download"}),
     ("run --pre", {"--preset"}),
     ("run mesh.obj --preset ", {"paper", "default", "fast"}),
-    ("keys ", {"add", "list", "revoke", "webhook-secret"}),
+    ("keys ", {"add", "list", "revoke", "rotate", "webhook-secret"}),
     ("keys rev", {"revoke"}),
     ("bench synthetic --sub", {"--subset"}),
     ("bench synthetic --level m", {"mild"}),

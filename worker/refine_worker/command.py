@@ -47,11 +47,13 @@ def _run(stop_with_stdin: bool) -> int:
     from redis.exceptions import RedisError
 
     from refine_jobs.redis_server import RedisUnfit
+    from refine_jobs.settings import OWNER_ONLY
 
     from .lifeline import stop_with_parent
     from .plan import PlanError
     from .supervisor import build_supervisor
 
+    os.umask(OWNER_ONLY)
     try:
         supervisor = build_supervisor()
     except (ValidationError, PlanError, RedisUnfit, RedisError, OSError) as error:

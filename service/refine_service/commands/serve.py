@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import os
 import signal
 import sys
 from collections import Counter
@@ -16,7 +17,7 @@ from pathlib import Path
 from refine_jobs.embedded import EmbeddedRedis
 from refine_jobs.health import Health
 from refine_jobs.redis_server import check_server, connect, connect_async
-from refine_jobs.settings import JobSettings
+from refine_jobs.settings import OWNER_ONLY, JobSettings
 from refine_jobs.slots import SlotState
 from refine_proto.commands.ending import FAILED
 from refine_proto.errors import Unavailable
@@ -43,6 +44,9 @@ def serve_command(argv: Sequence[str]) -> int:
     """Runs until SIGTERM or Ctrl-C (0), or until one of the processes ends by itself (1)."""
     values = environment(serve_parser().parse_args(argv))
     jobs = JobSettings.from_environment(values)
+    os.umask(OWNER_ONLY)
+    jobs.data_folder.mkdir(parents=True, exist_ok=True)
+    jobs.data_folder.chmod(0o700)  # also where an earlier version has made it
     ServiceSettings.from_environment(values)  # tell now what the service could not read
     lifelines: tuple[int, ...] = ()
     with ExitStack() as stack:

@@ -15,7 +15,7 @@ import redis.exceptions
 
 from refine_jobs.logs import configure_logs
 from refine_jobs.redis_server import check_server, connect
-from refine_jobs.settings import JobSettings
+from refine_jobs.settings import OWNER_ONLY, JobSettings
 from refine_proto.commands.ending import BAD_INPUT
 from refine_proto.tracing import tracing
 
@@ -42,12 +42,13 @@ def service_parser() -> argparse.ArgumentParser:
 def service_command(argv: Sequence[str]) -> int:
     """Runs until SIGTERM or Ctrl-C; logs go to standard error, the addresses to standard output."""
     arguments = service_parser().parse_args(argv)
+    os.umask(OWNER_ONLY)
     values = environment(arguments)
     jobs, settings = JobSettings.from_environment(values), ServiceSettings.from_environment(values)
     if jobs.redis_url is None:
         print("error: expected REFINE_REDIS_URL; `refine serve` brings its own Redis", file=sys.stderr)
         return BAD_INPUT
-    configure_logs()
+    configure_logs(lines_per_s=settings.log_lines_per_s)
     redis_url = jobs.redis_url.get_secret_value()
     try:
         with connect(redis_url) as server:

@@ -22,6 +22,7 @@ from refine_proto.models import Refinement, RefinementUrls
 from ..settings import ServiceSettings
 from .auth import ApiKeys, Auth, CallRate
 from .outgoing import Outgoing
+from .places import Places
 from .prometheus import Metrics
 
 COLLECTION = "/v1/refinements"
@@ -42,6 +43,8 @@ class Edge:
     health: Health
     auth: Auth
     metrics: Metrics
+    uploads: Places
+    watchers: Places
     draining: asyncio.Future[None]  # done once the process is stopping
 
     async def refinement(self, owner: str, refinement_id: str) -> Refinement:
@@ -72,10 +75,11 @@ class Edge:
 
 @asynccontextmanager
 async def open_edge(settings: ServiceSettings, jobs: JobSettings, redis_url: str) -> AsyncIterator[Edge]:
-    """The edge of this process; closed at the end."""
+    """The edge of this process; closed at the end. Raises KeysFileInvalid."""
+    keys = ApiKeys(settings.keys_path(jobs.data_folder))
+    keys.refresh()
     redis = connect_async(redis_url)
     store = JobStore(redis, jobs)
-    keys = ApiKeys(settings.keys_path(jobs.data_folder))
     try:
         yield Edge(
             settings=settings,
@@ -86,6 +90,8 @@ async def open_edge(settings: ServiceSettings, jobs: JobSettings, redis_url: str
             health=Health(redis),
             auth=Auth(keys, CallRate(settings.requests_per_s), settings.key_required),
             metrics=Metrics(),
+            uploads=Places("uploads", settings.max_uploads),
+            watchers=Places("watchers", settings.max_watchers),
             draining=asyncio.get_running_loop().create_future(),
         )
     finally:

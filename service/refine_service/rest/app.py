@@ -9,6 +9,7 @@ from ..edge.edge import Edge
 from . import artifacts, events, health, page, refinements
 from .middleware import HttpCalls
 from .openapi import describe
+from .origins import OwnPagesOnly, allow_origins
 from .problems import install_handlers
 
 
@@ -31,4 +32,6 @@ def make_app(edge: Edge) -> ASGIApp:
         app.include_router(module.router)
     install_handlers(app)
     app.openapi = describe(app)  # type: ignore[method-assign]
-    return HttpCalls(app, edge.metrics)
+    allow_origins(app, edge.settings)
+    guarded = app if edge.settings.key_required else OwnPagesOnly(app, edge.settings)
+    return HttpCalls(guarded, edge.metrics, tls=edge.settings.tls_certificate is not None)

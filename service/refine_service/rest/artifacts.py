@@ -26,7 +26,7 @@ router = APIRouter(prefix=COLLECTION, tags=["artifacts"])
 @router.get(
     "/{refinement_id}/artifacts/{name}",
     response_class=Response,
-    responses={200: WHOLE, 206: PART, 304: NOT_MODIFIED, **problems(401, 404, 410, 416, 422, 429, 503)},
+    responses={200: WHOLE, 206: PART, 304: NOT_MODIFIED, **problems(401, 403, 404, 410, 416, 422, 429, 503)},
 )
 async def download_artifact(
     refinement: Found,
@@ -54,7 +54,11 @@ async def download_artifact(
 @router.head(
     "/{refinement_id}/artifacts/{name}",
     response_class=Response,
-    responses={200: DESCRIBED, 304: NOT_MODIFIED, **without_content(problems(401, 404, 410, 422, 429, 503))},
+    responses={
+        200: DESCRIBED,
+        304: NOT_MODIFIED,
+        **without_content(problems(401, 403, 404, 410, 422, 429, 503)),
+    },
 )
 async def describe_artifact(
     refinement: Found, name: str, edge: EdgeHere, if_none_match: IfNoneMatch = None

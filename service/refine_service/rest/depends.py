@@ -9,6 +9,7 @@ from fastapi.security import HTTPBearer
 
 from refine_proto.models import Refinement
 
+from ..edge.auth import Scope
 from ..edge.call import CALL, Call
 from ..edge.edge import Edge
 
@@ -27,8 +28,16 @@ EdgeHere = Annotated[Edge, Depends(the_edge)]
 def the_call(request: Request, _: Annotated[object, Depends(bearer)]) -> Call:
     """The call of this request, signed in."""
     call = CALL.get()
-    the_edge(request).auth.sign_in(call, request.headers.get("authorization"))
+    scope = Scope.READ if request.method in ("GET", "HEAD") else Scope.SUBMIT
+    the_edge(request).auth.sign_in(call, request.headers.get("authorization"), scope)
     return call
+
+
+def the_scraper(request: Request) -> None:
+    """Who asks for metrics; with `metrics_need_key` only a key with the scope admin."""
+    edge = the_edge(request)
+    if edge.settings.metrics_need_key:
+        edge.auth.sign_in(CALL.get(), request.headers.get("authorization"), Scope.ADMIN)
 
 
 CallHere = Annotated[Call, Depends(the_call)]

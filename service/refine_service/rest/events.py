@@ -12,11 +12,18 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from ..edge.call import Call
 from ..edge.edge import COLLECTION
 from ..edge.follow import follow
-from .depends import EdgeHere, Found, the_call
+from .depends import CallHere, EdgeHere, Found, the_call
 from .openapi import EVENTS, problems
 
 _RECONNECT_MS = 2000
 _MAX_SEQUENCE = 2**63 - 1
+
+
+async def the_place(edge: EdgeHere, call: CallHere) -> AsyncIterator[None]:
+    """Held until the stream has ended; there is none: refused before it begins."""
+    with edge.watchers.take(call.owner):
+        yield
+
 
 router = APIRouter(prefix=COLLECTION, tags=["refinements"])
 
@@ -24,7 +31,8 @@ router = APIRouter(prefix=COLLECTION, tags=["refinements"])
 @router.get(
     "/{refinement_id}/events",
     response_class=EventSourceResponse,
-    responses={200: EVENTS, **problems(401, 404, 410, 422, 429, 503)},
+    responses={200: EVENTS, **problems(401, 403, 404, 410, 422, 429, 503)},
+    dependencies=[Depends(the_place)],
 )
 async def watch_refinement(
     refinement: Found,

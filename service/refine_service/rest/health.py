@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query
 from fastapi.responses import Response
 from prometheus_client import CONTENT_TYPE_LATEST
 from pydantic import BaseModel
@@ -14,7 +14,7 @@ from refine_jobs.slots import SlotState
 from refine_proto.errors import Unavailable
 
 from ..edge.installation import count_slots, installation_exposition
-from .depends import EdgeHere
+from .depends import EdgeHere, the_scraper
 from .openapi import problems
 
 router = APIRouter(tags=["operations"])
@@ -60,13 +60,23 @@ async def ready(
     return Ready(slots={str(state): count for state, count in counts.items()})
 
 
-@router.get("/metrics", response_class=Response, responses={200: _METRICS})
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={200: _METRICS, **problems(401, 403, 429)},
+    dependencies=[Depends(the_scraper)],
+)
 async def metrics(edge: EdgeHere) -> Response:
     """Metrics of this process."""
     return Response(edge.metrics.exposition(), media_type=CONTENT_TYPE_LATEST)
 
 
-@router.get("/metrics/installation", response_class=Response, responses={200: _METRICS, **problems(503)})
+@router.get(
+    "/metrics/installation",
+    response_class=Response,
+    responses={200: _METRICS, **problems(401, 403, 429, 503)},
+    dependencies=[Depends(the_scraper)],
+)
 async def installation(edge: EdgeHere) -> Response:
     """Metrics of all jobs and workers, the same from every process of the installation: scrape one."""
     space = await asyncio.to_thread(edge.blobs.space)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Mapping
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -13,16 +14,21 @@ from refine_proto.tracing import Kind, span
 
 from ..edge.call import Call, begin_call
 from ..edge.prometheus import Metrics
+from .origins import SECURITY_HEADERS, STRICT_TRANSPORT
 
 _PROBES = ("/livez", "/readyz", "/metrics", "/metrics/installation")  # asked every few seconds: no spans
+_PIECE_BYTES = 64 * 1024
+_MAX_PATH = 200  # characters of it in a line of the log
 log = logging.getLogger(__name__)
 
 
 class HttpCalls:
     """The outermost ASGI layer: makes the Call, counts, logs, and adds headers to every answer."""
 
-    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+    def __init__(self, app: ASGIApp, metrics: Metrics, tls: bool) -> None:
         self._app, self._metrics = app, metrics
+        strict = {"Strict-Transport-Security": STRICT_TRANSPORT} if tls else {}
+        self._headers = SECURITY_HEADERS | strict
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request."""
@@ -31,7 +37,7 @@ class HttpCalls:
             return
         headers = Headers(scope=scope)
         call = begin_call(headers)
-        exchange = _Exchange(call, receive, send, has_body=_has_body(headers))
+        exchange = _Exchange(call, self._headers, receive, send, has_body=_has_body(headers))
         if scope["path"] in _PROBES:
             await self._answer(scope, call, exchange)
             return
@@ -65,7 +71,7 @@ class HttpCalls:
         log.info(
             "%s %s %s",
             scope["method"],
-            scope["path"],
+            scope["path"][:_MAX_PATH],
             status,
             extra=fields(
                 method=method,
@@ -81,8 +87,10 @@ class HttpCalls:
 class _Exchange:
     """What goes in and out during one request."""
 
-    def __init__(self, call: Call, receive: Receive, send: Send, has_body: bool) -> None:
-        self._call, self._receive, self._send = call, receive, send
+    def __init__(
+        self, call: Call, headers: Mapping[str, str], receive: Receive, send: Send, has_body: bool
+    ) -> None:
+        self._call, self._headers, self._receive, self._send = call, headers, receive, send
         self._unread = has_body
         self.status = 0
         self.received_bytes = self.sent_bytes = 0
@@ -99,14 +107,21 @@ class _Exchange:
             self.status = message["status"]
             headers = MutableHeaders(scope=message)
             headers["X-Request-Id"] = self._call.request_id
-            headers["X-Content-Type-Options"] = "nosniff"
+            for name, value in self._headers.items():
+                headers.setdefault(name, value)
             if self._call.traceparent:
                 headers["traceparent"] = self._call.traceparent
             if self._unread:  # the rest of the body shall not be sent
                 headers["Connection"] = "close"
-        else:
-            self.sent_bytes += len(message.get("body", b""))
-        await self._send(message)
+            await self._send(message)
+            return
+        body = memoryview(message.get("body", b""))
+        self.sent_bytes += len(body)
+        # In pieces: the server waits between them for a reader that takes nothing.
+        for start in range(0, max(1, len(body)), _PIECE_BYTES):
+            piece = body[start : start + _PIECE_BYTES]
+            more = message.get("more_body", False) or start + _PIECE_BYTES < len(body)
+            await self._send({**message, "body": bytes(piece), "more_body": more})
 
 
 def _route(scope: Scope) -> str:

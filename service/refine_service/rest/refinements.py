@@ -41,7 +41,7 @@ router = APIRouter(prefix=COLLECTION, tags=["refinements"])
     responses={
         200: FINISHED,
         202: ACCEPTED,
-        **problems(401, 406, 409, 410, 413, 415, 422, 429, 500, 503, 504),
+        **problems(401, 403, 406, 409, 410, 413, 415, 422, 429, 500, 503, 504),
     },
     openapi_extra={"requestBody": CREATE_BODY},
 )
@@ -60,8 +60,9 @@ async def create_refinement(
 ) -> Response:
     """Submit a mesh, its silhouette and the camera."""
     edge.check_not_draining()
-    async with aclosing(await read_body(request, edge.settings)) as upload:
-        submitted = await submit(edge, call, upload, idempotency_key)
+    with edge.uploads.take(call.owner):
+        async with aclosing(await read_body(request, edge.settings)) as upload:
+            submitted = await submit(edge, call, upload, idempotency_key)
     refinement = with_urls(submitted.refinement)
     headers = {"Location": f"{COLLECTION}/{refinement.id}"}
     if submitted.replayed:
@@ -80,14 +81,15 @@ async def create_refinement(
 @router.post(
     ":validate",
     response_model=Validation,
-    responses=problems(401, 413, 415, 422, 429, 500, 503, 504),
+    responses=problems(401, 403, 413, 415, 422, 429, 500, 503, 504),
     openapi_extra={"requestBody": CREATE_BODY},
 )
 async def validate_refinement(request: Request, edge: EdgeHere, call: CallHere) -> Validation:
     """Say what looks wrong with a mesh, its silhouette and the camera. Nothing is refined or kept."""
     edge.check_not_draining()
-    async with aclosing(await read_body(request, edge.settings)) as upload:
-        return Validation.model_validate(await ask(edge, call, upload, Task.VALIDATE))
+    with edge.uploads.take(call.owner):
+        async with aclosing(await read_body(request, edge.settings)) as upload:
+            return Validation.model_validate(await ask(edge, call, upload, Task.VALIDATE))
 
 
 async def _refined_mesh(edge: Edge, refinement: Refinement, headers: dict[str, str]) -> Response:
@@ -111,7 +113,7 @@ async def _refined_mesh(edge: Edge, refinement: Refinement, headers: dict[str, s
     return response
 
 
-@router.get("", responses=problems(401, 422, 429, 503))
+@router.get("", responses=problems(401, 403, 422, 429, 503))
 async def list_refinements(
     edge: EdgeHere,
     call: CallHere,
@@ -125,7 +127,7 @@ async def list_refinements(
     return page.model_copy(update={"refinements": [with_urls(item) for item in page.refinements]})
 
 
-@router.get("/{refinement_id}", responses=problems(401, 404, 410, 422, 429, 503))
+@router.get("/{refinement_id}", responses=problems(401, 403, 404, 410, 422, 429, 503))
 async def get_refinement(refinement: Found) -> Refinement:
     """One refinement."""
     return refinement
@@ -134,7 +136,7 @@ async def get_refinement(refinement: Found) -> Refinement:
 @router.post(
     "/{refinement_id}/cancel",
     response_model=Refinement,
-    responses={200: FINISHED, 202: ACCEPTED, **problems(401, 404, 410, 422, 429, 503)},
+    responses={200: FINISHED, 202: ACCEPTED, **problems(401, 403, 404, 410, 422, 429, 503)},
 )
 async def cancel_refinement(refinement_id: str, edge: EdgeHere, call: CallHere) -> Response:
     """Queued: cancelled at once. Running: 202, `cancelling`, stops soon. Ended: unchanged."""
@@ -144,7 +146,7 @@ async def cancel_refinement(refinement_id: str, edge: EdgeHere, call: CallHere) 
     return Response(refinement.model_dump_json(), status, media_type="application/json")
 
 
-@router.patch("/{refinement_id}", responses=problems(401, 404, 409, 410, 422, 429, 503))
+@router.patch("/{refinement_id}", responses=problems(401, 403, 404, 409, 410, 422, 429, 503))
 async def extend_refinement(
     refinement_id: str, lifetime: Lifetime, edge: EdgeHere, call: CallHere
 ) -> Refinement:
@@ -153,7 +155,9 @@ async def extend_refinement(
     return with_urls(await edge.store.extend(call.owner, refinement_id, lifetime.lifetime_s))
 
 
-@router.delete("/{refinement_id}", status_code=204, responses=problems(401, 404, 409, 410, 422, 429, 503))
+@router.delete(
+    "/{refinement_id}", status_code=204, responses=problems(401, 403, 404, 409, 410, 422, 429, 503)
+)
 async def delete_refinement(refinement_id: str, edge: EdgeHere, call: CallHere) -> None:
     """Remove the record and its bytes; 409 while it is running."""
     call.job_id = refinement_id

@@ -15,12 +15,14 @@ from refine_jobs.logs import fields
 from refine_proto.tracing import Kind, start_span
 from refine_proto.v1 import refine_pb2
 
+from ..edge.auth import Scope
 from ..edge.call import begin_call
 from ..edge.edge import Edge
 from ..edge.errors import as_refine_error
 from .errors import RpcContext, abort
 
 SERVICE = refine_pb2.DESCRIPTOR.services_by_name["Refinements"].full_name
+_READING = ("Get", "List", "Watch", "Download")  # how the names of methods begin that change nothing
 _Unary: TypeAlias = Callable[..., Awaitable[Any]]
 _Stream: TypeAlias = Callable[..., AsyncGenerator[Any, None]]
 _ERRORS_OF_THE_SERVER = ("INTERNAL", "UNAVAILABLE", "DEADLINE_EXCEEDED", "UNKNOWN", "UNIMPLEMENTED")
@@ -94,7 +96,8 @@ class RpcCalls(grpc.aio.ServerInterceptor):
         call.traceparent = work.traceparent or call.traceparent
         try:
             await context.send_initial_metadata((("x-request-id", call.request_id),))
-            self._edge.auth.sign_in(call, metadata.get("authorization"))
+            scope = Scope.READ if method.startswith(_READING) else Scope.SUBMIT
+            self._edge.auth.sign_in(call, metadata.get("authorization"), scope)
             yield
         except (asyncio.CancelledError, GeneratorExit):
             status = "CANCELLED"  # the caller has gone, or its deadline has passed

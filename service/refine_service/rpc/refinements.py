@@ -41,9 +41,10 @@ class Refinements(RefinementsServicer):
         """Header, then chunks."""
         edge, call = self._edge, CALL.get()
         edge.check_not_draining()
-        request_id, upload = await read_messages(request_iterator, edge.settings)
-        async with aclosing(upload):
-            submitted = await submit(edge, call, upload, request_id)
+        with edge.uploads.take(call.owner):
+            request_id, upload = await read_messages(request_iterator, edge.settings)
+            async with aclosing(upload):
+                submitted = await submit(edge, call, upload, request_id)
         if submitted.replayed:
             context.set_trailing_metadata((("idempotency-replayed", "true"),))
         return to_message(with_urls(submitted.refinement), pb.Refinement)
@@ -54,9 +55,10 @@ class Refinements(RefinementsServicer):
         """Header, then chunks; its request id means nothing here."""
         edge = self._edge
         edge.check_not_draining()
-        _, upload = await read_messages(request_iterator, edge.settings)
-        async with aclosing(upload):
-            answer = await ask(edge, CALL.get(), upload, Task.VALIDATE)
+        with edge.uploads.take(CALL.get().owner):
+            _, upload = await read_messages(request_iterator, edge.settings)
+            async with aclosing(upload):
+                answer = await ask(edge, CALL.get(), upload, Task.VALIDATE)
         return to_message(Validation.model_validate(answer), pb.Validation)
 
     async def GetRefinement(self, request: pb.GetRefinementRequest, context: RpcContext) -> pb.Refinement:
@@ -85,7 +87,7 @@ class Refinements(RefinementsServicer):
         call = self._call_about(request.id)
         if request.after_sequence < 0:
             raise _invalid("after_sequence", f"expected 0 or more, got {request.after_sequence}")
-        with self._edge.metrics.watching("grpc"):
+        with self._edge.watchers.take(call.owner), self._edge.metrics.watching("grpc"):
             events = follow(self._edge, call.owner, request.id, request.after_sequence)
             async with aclosing(events):
                 async for event in events:

@@ -12,6 +12,7 @@ from refine_proto.v1.refine_pb2_grpc import add_RefinementsServicer_to_server
 
 from ..edge.edge import Edge
 from ..tls import Tls
+from .admission import Admission
 from .middleware import SERVICE, RpcCalls
 from .refinements import Refinements
 
@@ -36,7 +37,7 @@ class RpcServer:
     def __init__(self, edge: Edge, max_connections: int, tls: Tls | None) -> None:
         self._edge, self._tls = edge, tls
         self._server = grpc.aio.server(
-            interceptors=[RpcCalls(edge)],
+            interceptors=[Admission(edge), RpcCalls(edge)],
             options=(*_OPTIONS, ("grpc.max_allowed_incoming_connections", max_connections)),
             maximum_concurrent_rpcs=_MAX_CALLS,
         )

@@ -33,6 +33,8 @@ def test_a_job_and_a_clean_stop(tmp_path: Path) -> None:
             )
             ended = client.wait(refinement.id, timeout_s=300)
         assert ended.state is State.SUCCEEDED, ended.error
+        opened = [file for file in (tmp_path, *tmp_path.rglob("*")) if file.stat().st_mode & 0o077]
+        assert opened == []  # to other users of the machine
         served.process.send_signal(signal.SIGINT)
         assert served.process.wait(90) == 0
         assert [process for process in family if process.is_running()] == []

@@ -62,7 +62,8 @@ def test_rest(service: Service, authority: Authority) -> None:
     assert service.rest_url.startswith("https://")
     trusting = ssl.create_default_context(cafile=str(authority.root))
     for _ in range(10):  # a request may come together with the end of the handshake, or after it
-        assert httpx.get(f"{service.rest_url}/livez", verify=trusting).status_code == 200
+        answer = httpx.get(f"{service.rest_url}/livez", verify=trusting)
+        assert (answer.status_code, answer.headers["Strict-Transport-Security"]) == (200, "max-age=31536000")
     with pytest.raises(httpx.ConnectError, match="CERTIFICATE_VERIFY_FAILED"):
         httpx.get(f"{service.rest_url}/livez")
 

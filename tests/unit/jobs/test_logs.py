@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from refine_jobs.logs import configure_logs, fields, log_fields
+from refine_jobs.logs import LineRate, configure_logs, fields, log_fields
 from refine_service.edge.call import begin_call
 
 TRACE = "0af7651916cd43dd8448eb211c80319c"
@@ -79,3 +79,17 @@ def test_the_ids_of_a_call_are_those_known_by_then(stderr: io.StringIO) -> None:
     assert (begun["request_id"], begun["trace_id"]) == ("r-1", TRACE)
     assert "job_id" not in begun
     assert found["job_id"] == "job-2"
+
+
+def test_lines_without_end_are_left_out_and_told() -> None:
+    now = 0.0
+    rate = LineRate(3, clock=lambda: now)
+
+    def written(level: int, count: int) -> list[str]:
+        records = [logging.LogRecord("a", level, "", 0, "line %d", (n,), None) for n in range(count)]
+        return [record.getMessage() for record in records if rate.filter(record)]
+
+    assert written(logging.INFO, 100) == ["line 0", "line 1", "line 2"]
+    assert len(written(logging.ERROR, 2)) == 2  # the others do not hide them
+    now = 1.0
+    assert written(logging.INFO, 1) == ["line 0 (97 lines before this one were left out)"]
