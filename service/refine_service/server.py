@@ -79,7 +79,8 @@ class _HttpServer(uvicorn.Server):
                 make_app(edge),
                 http=cast(type[asyncio.Protocol], partial(HttpConnection, gate)),
                 ws="none",
-                backlog=_BACKLOG,
+                # asyncio accepts so many before it lets us look at one of them: fewer than there is room for.
+                backlog=max(8, gate.max_connections // 4),
                 log_config=None,
                 access_log=False,
                 server_header=False,

@@ -39,9 +39,11 @@ from .fetch import fetch, file_name
 from .file_checks import check_camera_size, image_size, recognise_mesh
 from .webhooks import check_webhook
 
-_MEMORY_BYTES = 2**20  # a larger file waits on disk
+MEMORY_BYTES = 128 * 1024  # a larger file waits on disk
+_STORING = 16  # files at a time in one process: each needs some 8 MiB on its way to the store
 _CHUNK_BYTES = 2**20
 _FULL_RETRY_S = 5.0  # somebody has to make room
+_storing = asyncio.Semaphore(_STORING)
 
 
 log = logging.getLogger(__name__)
@@ -70,7 +72,7 @@ class Upload:
 
 def new_file() -> UploadFile:
     """An empty file to fill."""
-    return UploadFile(cast(BinaryIO, tempfile.SpooledTemporaryFile(max_size=_MEMORY_BYTES)), size=0)
+    return UploadFile(cast(BinaryIO, tempfile.SpooledTemporaryFile(max_size=MEMORY_BYTES)), size=0)
 
 
 def filled_file(data: bytes) -> UploadFile:
@@ -214,7 +216,8 @@ async def _head(file: UploadFile) -> bytes:
 
 
 async def _store(edge: Edge, name: str, file: UploadFile) -> Blob:
-    return await edge.blobs.put_stream(name, _chunks(file))
+    async with _storing:
+        return await edge.blobs.put_stream(name, _chunks(file))
 
 
 async def _chunks(file: UploadFile) -> AsyncIterator[bytes]:

@@ -9,14 +9,15 @@ from fastapi import Request
 from pydantic import ValidationError
 from pydantic_core import from_json
 from starlette.datastructures import FormData, UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.types import Message
 
-from refine_proto.errors import FormatUnsupported, PayloadTooLarge, from_validation
+from refine_proto.errors import FormatUnsupported, InvalidInput, PayloadTooLarge, from_validation
 from refine_proto.formats import IGNORE, IMAGE_PARTS, MESH, SILHOUETTE, address_of, of_view
 from refine_proto.models import RefinementRequest, RefinementSpec, View
 from refine_proto.webhooks import URL
 
-from ..edge.submit import Upload, filled_file, new_file, receiving
+from ..edge.submit import MEMORY_BYTES, Upload, filled_file, new_file, receiving
 from ..settings import ServiceSettings
 
 _FILES = (MESH, *IMAGE_PARTS)
@@ -42,11 +43,23 @@ async def read_body(request: Request, settings: ServiceSettings) -> Upload:
     )
 
 
+class _MultiPartParser(MultiPartParser):
+    spool_max_size = MEMORY_BYTES
+
+
 async def _read_multipart(request: Request, settings: ServiceSettings) -> Upload:
     limit = settings.max_mesh_bytes + settings.max_silhouette_bytes + _FRAMING_BYTES
-    form = await _limited(request, limit).form(
-        max_files=_MAX_FIELDS, max_fields=_MAX_FIELDS, max_part_size=_FIELD_BYTES
+    parser = _MultiPartParser(
+        request.headers,
+        _limited(request, limit).stream(),
+        max_files=_MAX_FIELDS,
+        max_fields=_MAX_FIELDS,
+        max_part_size=_FIELD_BYTES,
     )
+    try:
+        form = await parser.parse()
+    except MultiPartException as error:
+        raise InvalidInput(f"malformed request: {error.message}") from None
     try:
         files = {name: _file(form, name) for name in _FILES if name in form}
         values = await _values(form)

@@ -39,7 +39,7 @@ class Gate:
         self.max_header_bytes = settings.max_header_bytes
         self.head_timeout_s = settings.head_timeout_s
         self.write_timeout_s = settings.write_timeout_s
-        self._max = max_connections
+        self.max_connections = max_connections
         self._max_per_address = settings.max_connections_per_address
         self._connections: dict[HttpConnection, str] = {}  # with the address of each
         self._addresses: Counter[str] = Counter()
@@ -48,7 +48,7 @@ class Gate:
         """Whether there is room for it, or room could be made."""
         if self._addresses[address] >= self._max_per_address and not self._end_longest_waiting(address):
             return False
-        if len(self._connections) >= self._max and not self._end_longest_waiting():
+        if len(self._connections) >= self.max_connections and not self._end_longest_waiting():
             return False
         self._connections[connection] = address
         self._addresses[address] += 1
