@@ -16,7 +16,9 @@ from refine_proto.errors import Busy, NotFound, RefineError
 from refine_proto.lists import make_filter, make_lifetime
 from refine_proto.models import (
     Artifact,
+    CameraEstimate,
     CameraSpec,
+    EstimatedCamera,
     Event,
     MeshFormat,
     Progress,
@@ -37,7 +39,7 @@ from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
 from .retry import Retries, RetryPolicy
 from .transports.base import make_async_transport
-from .upload import Source, View, make_upload
+from .upload import Source, View, make_upload, to_estimate
 
 T = TypeVar("T")
 
@@ -96,6 +98,20 @@ class AsyncRefineClient:
         """See RefineClient.validate."""
         upload = make_upload(mesh, silhouette, camera, options, mesh_format, ignore=ignore, views=views)
         return await self._retried(lambda: self._transport.validate(upload))
+
+    async def estimate_camera(
+        self,
+        mesh: Source,
+        silhouette: Source,
+        camera: EstimatedCamera | Mapping[str, Any] | None = None,
+        options: RefinementOptions | Mapping[str, Any] | None = None,
+        *,
+        ignore: Source | None = None,
+        mesh_format: MeshFormat | str | None = None,
+    ) -> CameraEstimate:
+        """See RefineClient.estimate_camera."""
+        upload = make_upload(mesh, silhouette, to_estimate(camera), options, mesh_format, ignore=ignore)
+        return await self._retried(lambda: self._transport.estimate_camera(upload))
 
     async def get(self, refinement_id: str) -> Refinement:
         """See RefineClient.get."""

@@ -24,6 +24,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "run": Command("refine one mesh in this process", ("engine",)),
     "check": Command("say what looks wrong with a mesh, its silhouette and its camera", ("engine",)),
+    "camera": Command("estimate the camera that saw a silhouette", ("engine",)),
     "eval": Command("compare a mesh with the ground truth: EMD, Chamfer-l2, F-score, IoU", ("engine",)),
     "bench": Command("refine and score a whole data set", ("bench",)),
     "serve": Command("run everything here: Redis, service and worker", ("service", "worker")),

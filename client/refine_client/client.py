@@ -19,7 +19,9 @@ from refine_proto.errors import Busy, NotFound, RefineError
 from refine_proto.lists import make_filter, make_lifetime
 from refine_proto.models import (
     Artifact,
+    CameraEstimate,
     CameraSpec,
+    EstimatedCamera,
     Event,
     MeshFormat,
     Progress,
@@ -39,7 +41,7 @@ from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
 from .retry import Retries, RetryPolicy
 from .transports.base import make_transport
-from .upload import Source, View, make_upload
+from .upload import Source, View, make_upload, to_estimate
 
 T = TypeVar("T")
 PAGE = 100  # the longest
@@ -140,6 +142,27 @@ class RefineClient:
         """
         upload = make_upload(mesh, silhouette, camera, options, mesh_format, ignore=ignore, views=views)
         return self._retried(lambda: self._transport.validate(upload))
+
+    def estimate_camera(
+        self,
+        mesh: Source,
+        silhouette: Source,
+        camera: EstimatedCamera | Mapping[str, Any] | None = None,
+        options: RefinementOptions | Mapping[str, Any] | None = None,
+        *,
+        ignore: Source | None = None,
+        mesh_format: MeshFormat | str | None = None,
+    ) -> CameraEstimate:
+        """Say where the camera may be that saw the silhouette, and which other cameras fit.
+
+        Args:
+            mesh, silhouette, options, ignore, mesh_format: As for `submit`.
+            camera: What is known of it. Default: nothing.
+
+        Raises as `validate` does.
+        """
+        upload = make_upload(mesh, silhouette, to_estimate(camera), options, mesh_format, ignore=ignore)
+        return self._retried(lambda: self._transport.estimate_camera(upload))
 
     def get(self, refinement_id: str) -> Refinement:
         """The refinement as it is now."""

@@ -17,7 +17,14 @@ from typing_extensions import TypeIs
 
 from refine_proto.errors import check_idempotency_key, from_validation
 from refine_proto.formats import IGNORE, MESH, SILHOUETTE, format_of_name, of_view
-from refine_proto.models import CameraSpec, MeshFormat, RefinementOptions, RefinementSpec, Webhook
+from refine_proto.models import (
+    CameraSpec,
+    EstimatedCamera,
+    MeshFormat,
+    RefinementOptions,
+    RefinementSpec,
+    Webhook,
+)
 
 CHUNK_BYTES = 64 * 1024
 Source = bytes | str | os.PathLike[str]
@@ -109,6 +116,13 @@ def make_upload(
 def is_address(source: Source) -> TypeIs[str]:
     """Whether the server fetches it."""
     return isinstance(source, str) and source.startswith(("https://", "http://"))
+
+
+def to_estimate(camera: EstimatedCamera | Mapping[str, Any] | None) -> EstimatedCamera | Mapping[str, Any]:
+    """A camera that is not known, from what is known of it; its type need not be said."""
+    if camera is None:
+        return EstimatedCamera()
+    return {"type": "estimate", **camera} if isinstance(camera, Mapping) else camera
 
 
 @contextmanager

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Sequence
+from typing import Any, cast
 
 from refine_proto.models import (
+    CameraAlternative,
     CameraCorrection,
+    CameraEstimate,
     Judgement,
     MirrorPlane,
     Outcome,
@@ -13,6 +16,8 @@ from refine_proto.models import (
     SilhouetteIou,
 )
 
+from .cameras.spec import spec_of
+from .estimation.estimate import Candidate
 from .method.config import RefineConfig, Symmetry, Topology
 from .method.presets import make_config
 from .values import Result
@@ -32,8 +37,8 @@ def config_of(options: RefinementOptions) -> RefineConfig:
     )
 
 
-def judgement_of(result: Result) -> Judgement:
-    """What the contract tells of a result."""
+def judgement_of(result: Result, estimate: Sequence[Candidate]) -> Judgement:
+    """What the contract tells of a result, and of its camera, if that was estimated."""
     plane, turn = result.plane, result.camera_turn_degrees
     return Judgement(
         silhouette_iou=SilhouetteIou(before=result.silhouette_iou_before, after=result.silhouette_iou_after),
@@ -42,4 +47,21 @@ def judgement_of(result: Result) -> Judgement:
         mirror_plane=plane
         and MirrorPlane(normal=plane.normal.tolist(), offset=plane.offset, error=plane.error),
         camera_correction=None if turn is None else CameraCorrection(turn_degrees=turn),
+        camera=estimate_of(estimate) if estimate else None,
     )
+
+
+def estimate_of(candidates: Sequence[Candidate]) -> CameraEstimate:
+    """What the contract tells of an estimated camera: the first of at least one."""
+    best, *others = candidates
+    alternatives = [CameraAlternative(**_told(c), mirror_ambiguous=c.mirror_ambiguous) for c in others]
+    return CameraEstimate(**_told(best), alternatives=alternatives)
+
+
+def _told(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "camera": spec_of(candidate.camera),
+        "silhouette_iou": candidate.silhouette_iou,
+        "azimuth_degrees": candidate.azimuth_degrees,
+        "elevation_degrees": candidate.elevation_degrees,
+    }

@@ -7,21 +7,22 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from refine_proto.cameras import CameraSpec
+from refine_proto.cameras import CameraSpec, EstimatedCamera
 from refine_proto.checks import Checks, Finding
 from refine_proto.formats import SILHOUETTE_THRESHOLD
 
-from .cameras.spec import camera_from_spec
+from .cameras.spec import camera_from_spec, spec_of
 from .checks.check import GivenPlane, check_inputs, refuse
 from .errors import InputError
+from .estimation.estimate import AS_GOOD_IOU, Candidate, Hint, estimate_camera
 from .files.beside import Beside
 from .files.limits import MeshLimits
 from .files.mesh_file import MeshFile, read_mesh
-from .files.silhouette import read_silhouette
+from .files.silhouette import Silhouette, read_silhouette
 from .method.config import RefineConfig
 from .method.loop import Checkpoints
 from .proxy.run import refine_any_size
-from .values import Progress, Result, View
+from .values import Mesh, Progress, Result, View, field_of_view, focal_length
 
 POOR_IOU = 0.5  # a result that agrees less was hardly meant
 
@@ -43,6 +44,7 @@ class Inputs:
     views: tuple[View, ...]  # at least one
     warnings: tuple[str, ...]  # about the mesh, the silhouettes and the cameras
     findings: tuple[Finding, ...] = ()  # those of the warnings that a check of the inputs found
+    estimate: tuple[Candidate, ...] = ()  # the first camera and its alternatives, where it was not given
 
     def refine(
         self,
@@ -119,10 +121,17 @@ def check_files(
     views: list[View] = []
     findings: list[Finding] = []
     warnings = [*mesh_file.warnings]
+    estimate: tuple[Candidate, ...] = ()
     for number, observation in enumerate([Observation(silhouette, camera, ignore), *more_views], 1):
         told = f"view {number}: " if more_views else ""
         try:
-            view, odd = _read_view(observation, silhouette_threshold, ignore_grey)
+            read = read_silhouette(
+                observation.silhouette, silhouette_threshold, ignore_grey, observation.ignore
+            )
+            if number == 1 and isinstance(camera, EstimatedCamera):
+                estimate = _estimate(mesh_file.mesh, read, camera)
+                observation = replace(observation, camera=spec_of(estimate[0].camera))
+            view = _view(read, observation.camera)
         except InputError as error:
             raise type(error)(f"{told}{error}") from error
         views.append(view)
@@ -131,10 +140,14 @@ def check_files(
             plane = symmetry if number == 1 else None
             found = check_inputs(mesh_file.mesh, view, observation.camera, checks, plane)
         findings += [finding.model_copy(update={"message": told + finding.message}) for finding in found]
-        warnings += [*(told + warning for warning in odd), *(told + finding.message for finding in found)]
+        warnings += [
+            *(told + warning for warning in read.warnings),
+            *(told + finding.message for finding in found),
+        ]
     if ignore_grey is not None and all(view.known is None for view in views):
         warnings.append(f"no pixel of a silhouette has the level {ignore_grey} of ignore_grey")
-    return Inputs(mesh_file, tuple(views), tuple(warnings), tuple(findings))
+    warnings += _about_the_estimate(estimate)
+    return Inputs(mesh_file, tuple(views), tuple(warnings), tuple(findings), estimate)
 
 
 def read_view(
@@ -145,16 +158,38 @@ def read_view(
     ignore: bytes | None = None,
 ) -> View:
     """A silhouette image and the camera that saw it; raises SilhouetteInvalid or CameraInvalid."""
-    return _read_view(Observation(silhouette, camera, ignore), threshold, ignore_grey)[0]
+    return _view(read_silhouette(silhouette, threshold, ignore_grey, ignore), camera)
 
 
-def _read_view(
-    observation: Observation, threshold: float, ignore_grey: int | None
-) -> tuple[View, tuple[str, ...]]:
-    """The view, and what is odd about its silhouette."""
-    read = read_silhouette(observation.silhouette, threshold, ignore_grey, observation.ignore)
+def _view(read: Silhouette, camera: CameraSpec) -> View:
     height, width = read.coverage.shape
-    return View(read.coverage, camera_from_spec(observation.camera, width, height), read.known), read.warnings
+    return View(read.coverage, camera_from_spec(camera, width, height), read.known)
+
+
+def _estimate(mesh: Mesh, read: Silhouette, told: EstimatedCamera) -> tuple[Candidate, ...]:
+    fov = told.fov_y_degrees
+    if told.fov_x_degrees is not None:
+        height, width = read.coverage.shape
+        fov = field_of_view(focal_length(told.fov_x_degrees, width), height)
+    hint = Hint(fov, told.azimuth_degrees, told.elevation_degrees, told.roll_degrees)
+    return tuple(estimate_camera(mesh, read.coverage, read.known, hint))
+
+
+def _about_the_estimate(estimate: Sequence[Candidate]) -> Iterator[str]:
+    """That the camera may as well be another one."""
+    others = [
+        other for other in estimate[1:] if other.silhouette_iou > estimate[0].silhouette_iou - AS_GOOD_IOU
+    ]
+    if others:
+        where, *also = (
+            f"azimuth {one.azimuth_degrees:.0f} and elevation {one.elevation_degrees:.0f} degrees "
+            f"(2D IoU {one.silhouette_iou:.2f})"
+            for one in (estimate[0], *others)
+        )
+        yield (
+            f"the camera is estimated to be at {where}, but the silhouette fits as well from "
+            f"{' or '.join(also)}: give azimuth_degrees and elevation_degrees of the right one, roughly"
+        )
 
 
 def _about_the_result(result: Result) -> Iterator[str]:

@@ -155,6 +155,11 @@ def focal_length(fov_degrees: float, pixels: int) -> float:
     return 0.5 * pixels / math.tan(math.radians(fov_degrees) / 2)
 
 
+def field_of_view(focal: float, pixels: int) -> float:
+    """Degrees: what `focal_length` undoes."""
+    return math.degrees(2 * math.atan(0.5 * pixels / focal))
+
+
 @dataclass(frozen=True)
 class View:
     """One observation: the object's silhouette and the camera that saw it."""

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from refine_proto.models import (
     Artifact,
     CameraCorrection,
+    CameraEstimate,
     Event,
     EventType,
     Finding,
@@ -30,7 +31,15 @@ from refine_proto.models import (
 
 from .blobs import Blob
 
-_OF_RESULT = ("silhouette_iou", "warnings", "mirror_plane", "camera_correction", "checks", "answer")
+_OF_RESULT = (
+    "silhouette_iou",
+    "warnings",
+    "mirror_plane",
+    "camera_correction",
+    "camera",
+    "checks",
+    "answer",
+)
 _OF_EDGE = ("spec", "mesh", "silhouette", "more_files", "webhook_deliveries")
 _JSON = (*_OF_EDGE, "progress", "error", "artifacts", *_OF_RESULT)
 Entry = tuple[str, Mapping[str, str]]  # of a stream: id, fields
@@ -44,6 +53,7 @@ class Task(StrEnum):
 
     REFINE = "refine"
     VALIDATE = "validate"
+    ESTIMATE = "estimate"
 
 
 class Submission(BaseModel):
@@ -90,6 +100,7 @@ class Job(BaseModel):
     warnings: tuple[str, ...] = ()
     mirror_plane: MirrorPlane | None = None
     camera_correction: CameraCorrection | None = None
+    camera: CameraEstimate | None = None
     checks: tuple[Finding, ...] = ()
     answer: Mapping[str, Any] | None = None  # to a question
     webhook_deliveries: tuple[WebhookDelivery, ...] = ()
@@ -155,6 +166,7 @@ class Job(BaseModel):
             mirror_plane=self.mirror_plane,
             camera_correction=self.camera_correction,
             webhook_deliveries=list(self.webhook_deliveries),
+            camera=self.camera,
         )
 
 

@@ -3,6 +3,7 @@
     camera.json                  one CameraSpec
     transforms.json#r_0          NeRF, instant-ngp, nerfstudio: the frame whose file_path is or ends in this
     sparse/0#IMG_0042.jpg        COLMAP: a folder with cameras.txt and images.txt, the image of this name
+    estimate                     no file: the camera is estimated
 
 The name after # may be left out where there is one camera only. The world is that of the file: the mesh has
 to be in it. Lens distortion is refused: a silhouette belongs to the undistorted image.
@@ -19,9 +20,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from .cameras import CAMERA_SPEC, CameraSpec
+from .cameras import CAMERA_SPEC, CameraSpec, EstimatedCamera
 from .errors import CameraInvalid, from_validation
 
+ESTIMATE = "estimate"  # in place of a file
 DISTORTION = 1e-2  # of a coefficient: below it an outline moves by less than a pixel or so
 _DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
 # COLMAP's camera models: where fx, fy, cx, cy stand among the parameters; what follows is distortion.
@@ -40,6 +42,8 @@ def read_camera_file(path: str | os.PathLike[str], under: Sequence[str | int] = 
 
     Raises CameraInvalid, or OSError for a file that cannot be read.
     """
+    if str(path) == ESTIMATE:
+        return EstimatedCamera()
     place, name = _split(Path(path))
     if place.is_dir():
         return _chosen(

@@ -6,6 +6,7 @@
      "intrinsics": {"fx": 500, "fy": 500, "cx": 320, "cy": 240, "width": 640, "height": 480}}
     {"type": "pytorch3d", "R": [[...], ...], "T": [...], "fov_y_degrees": 60}
     {"type": "network", "name": "sf3d"}
+    {"type": "estimate"}
 
 What is wrong with a camera is said here and nowhere else; docs/conventions.md explains the forms.
 """
@@ -254,26 +255,51 @@ class NetworkCamera(Input):
         return MatrixCamera.model_validate(told)
 
 
+class EstimatedCamera(Input):
+    """Not known: estimated from the mesh and the silhouette. What is known of it helps.
+
+    Angles as of a LookAtCamera, but about the middle of the mesh.
+    """
+
+    type: Literal["estimate"] = "estimate"
+    fov_y_degrees: FieldOfView | None = Field(None, description="If it is known, as fov_x_degrees is.")
+    fov_x_degrees: FieldOfView | None = None
+    azimuth_degrees: Number | None = Field(None, description="Roughly: looked for up to 45 degrees away.")
+    elevation_degrees: Annotated[Number, Field(ge=-90.0, le=90.0)] | None = Field(
+        None, description="Roughly: looked for up to 30 degrees away."
+    )
+    roll_degrees: Number = Field(0.0, description="Exactly; clockwise turn about the viewing direction.")
+
+    @model_validator(mode="after")
+    def _at_most_one_field_of_view(self) -> Self:
+        if self.fov_y_degrees is not None and self.fov_x_degrees is not None:
+            raise ValueError("expected at most one of fov_y_degrees and fov_x_degrees, got both")
+        return self
+
+
 PlainCamera = LookAtCamera | MatrixCamera
-"""The two forms that all others become once they are read."""
+"""The two forms that all others but an EstimatedCamera become once they are read."""
 
 
-def _plain(camera: PlainCamera | PyTorch3DCamera | NetworkCamera) -> PlainCamera:
+def _plain(
+    camera: PlainCamera | PyTorch3DCamera | NetworkCamera | EstimatedCamera,
+) -> PlainCamera | EstimatedCamera:
     return camera.plain() if isinstance(camera, PyTorch3DCamera | NetworkCamera) else camera
 
 
 if TYPE_CHECKING:
-    CameraSpec = PlainCamera  # what reading gives
+    CameraSpec = PlainCamera | EstimatedCamera  # what reading gives
 else:
     CameraSpec = TypeAliasType(  # a name, under which OpenAPI has it
         "CameraSpec",
         Annotated[
             Annotated[
-                LookAtCamera | MatrixCamera | PyTorch3DCamera | NetworkCamera, Field(discriminator="type")
+                LookAtCamera | MatrixCamera | PyTorch3DCamera | NetworkCamera | EstimatedCamera,
+                Field(discriminator="type"),
             ],
             AfterValidator(_plain),
         ],
     )
-"""The camera that saw the silhouette, tagged by `type`, in any of its forms; once read, a PlainCamera."""
-CAMERA_SPEC: TypeAdapter[PlainCamera] = TypeAdapter(CameraSpec)
+"""The camera that saw the silhouette, tagged by `type`, in any of its forms."""
+CAMERA_SPEC: TypeAdapter[PlainCamera | EstimatedCamera] = TypeAdapter(CameraSpec)
 """Reads one: `validate_json`, `validate_python`."""

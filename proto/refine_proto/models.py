@@ -20,6 +20,7 @@ from .base64_bytes import Base64Bytes
 
 # "X as X": callers find all values of the contract here.
 from .cameras import CameraSpec as CameraSpec
+from .cameras import EstimatedCamera as EstimatedCamera
 from .cameras import Intrinsics as Intrinsics
 from .cameras import LookAtCamera as LookAtCamera
 from .cameras import MatrixCamera as MatrixCamera
@@ -165,6 +166,15 @@ class View(Input):
 
     camera: CameraSpec
 
+    @field_validator("camera")
+    @classmethod
+    def _is_known(cls, camera: CameraSpec) -> CameraSpec:
+        if isinstance(camera, EstimatedCamera):
+            raise ValueError(
+                "expected a camera that is known, got type estimate, which the first view may have"
+            )
+        return camera
+
 
 class RefinementSpec(Input):
     """A request without its files: what the header of gRPC and the multipart fields of REST say."""
@@ -285,6 +295,30 @@ class CameraCorrection(Output):
     turn_degrees: float = Field(description="Angle by which they were turned about the object's centre.")
 
 
+class CameraAlternative(Output):
+    """A camera that may have seen the silhouette too, from another direction."""
+
+    camera: CameraSpec = Field(description="To send with the same silhouette.")
+    silhouette_iou: float = Field(description="2D IoU of the coarse mesh with the silhouette under it.")
+    azimuth_degrees: float = Field(description="As of a look_at camera, but about the middle of the mesh.")
+    elevation_degrees: float
+    mirror_ambiguous: bool = Field(
+        False,
+        description="The silhouette is much the same from here: the estimate seen from the other "
+        "side, or mirrored in the mesh's mirror plane.",
+    )
+
+
+class CameraEstimate(Output):
+    """The camera that a silhouette says, with a mesh that is only roughly right."""
+
+    camera: CameraSpec = Field(description="To send with the same silhouette.")
+    silhouette_iou: float = Field(description="2D IoU of the coarse mesh with the silhouette under it.")
+    azimuth_degrees: float = Field(description="As of a look_at camera, but about the middle of the mesh.")
+    elevation_degrees: float
+    alternatives: list[CameraAlternative] = Field([], description="Other directions, the likelier first.")
+
+
 class Judgement(Output):
     """What a run says of its result, without knowing the truth; a Refinement shows all of it."""
 
@@ -293,6 +327,7 @@ class Judgement(Output):
     warnings: list[str] = []
     mirror_plane: MirrorPlane | None = None
     camera_correction: CameraCorrection | None = None
+    camera: CameraEstimate | None = None
 
 
 class Artifact(Output):
@@ -367,6 +402,7 @@ class Refinement(Output):
     camera_correction: CameraCorrection | None = Field(None, description="With `correct_camera` only.")
     metadata: dict[str, str] = Field({}, description="As it was submitted.")
     webhook_deliveries: list[WebhookDelivery] = Field([], description="Attempts so far, oldest first.")
+    camera: CameraEstimate | None = Field(None, description="With a camera of type `estimate` only.")
 
     @field_validator("options", mode="before")
     @classmethod

@@ -41,7 +41,8 @@ def complaint(error: ValidationError) -> str:
         ({}, "/camera: expected 'type' to be one of 'look_at', 'matrix', 'pytorch3d', 'network', got none"),
         (
             {"type": "lookat"},
-            "one of 'look_at', 'matrix', 'pytorch3d', 'network', got 'lookat'; did you mean 'look_at'?",
+            "one of 'look_at', 'matrix', 'pytorch3d', 'network', 'estimate', got 'lookat'; "
+            "did you mean 'look_at'?",
         ),
         ([1, 2], "/camera: expected an object, got [1, 2]"),
         (

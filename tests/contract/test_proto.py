@@ -60,6 +60,7 @@ def _tags() -> list[Any]:
         models.MatrixCamera.model_fields["type"].annotation,
         models.PyTorch3DCamera.model_fields["type"].annotation,
         models.NetworkCamera.model_fields["type"].annotation,
+        models.EstimatedCamera.model_fields["type"].annotation,
     ]
 
 

@@ -18,7 +18,16 @@ from serve_process import Served
 from refine_client import AsyncRefineClient, RefineClient
 from refine_engine import read_camera, read_inputs, read_mesh
 from refine_engine.cameras.seen import silhouette_iou
-from refine_proto.models import Event, EventType, Refinement, State, Validation
+from refine_engine.contract import estimate_of
+from refine_proto.models import (
+    CameraEstimate,
+    EstimatedCamera,
+    Event,
+    EventType,
+    Refinement,
+    State,
+    Validation,
+)
 
 FACES = ("REST, sync", "REST, async", "gRPC, sync", "gRPC, async")
 ARTIFACTS = {
@@ -90,6 +99,23 @@ def test_every_face_says_what_looks_wrong(served: Served) -> None:
         async def ask(server: str = server) -> Validation:
             async with AsyncRefineClient(server) as client:
                 return await client.validate(*wrong)
+
+        assert asyncio.run(ask()) == expected
+
+
+def test_every_face_estimates_the_camera_and_refines_with_it(served: Served) -> None:
+    """As the engine does here."""
+    inputs = read_inputs(MESH.read_bytes(), MESH.name, SILHOUETTE.read_bytes(), EstimatedCamera())
+    expected = estimate_of(inputs.estimate)
+    for server in (served.url, f"grpc://{served.grpc_address}"):
+        with RefineClient(server) as client:
+            assert client.estimate_camera(MESH, SILHOUETTE) == expected
+            job = client.submit(MESH, SILHOUETTE, {"type": "estimate"}, {"iterations": 2})
+            assert client.wait(job.id).camera == expected
+
+        async def ask(server: str = server) -> CameraEstimate:
+            async with AsyncRefineClient(server) as client:
+                return await client.estimate_camera(MESH, SILHOUETTE)
 
         assert asyncio.run(ask()) == expected
 

@@ -34,6 +34,11 @@ class _Servicer(RefinementsServicer):
         found = self._run(context, "validate", lambda: self._script.validation("", upload))
         return to_message(found, refine_pb2.Validation)
 
+    def EstimateCamera(self, requests: Iterator[Any], context: grpc.ServicerContext) -> Any:
+        _, upload = self._upload(requests)
+        found = self._run(context, "estimate", lambda: self._script.estimate("", upload))
+        return to_message(found, refine_pb2.CameraEstimate)
+
     def _upload(self, requests: Iterator[Any]) -> tuple[str, dict[str, Any]]:
         header = next(requests).header
         upload: dict[str, Any] = {"chunks": []}

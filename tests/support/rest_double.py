@@ -39,6 +39,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer("cancel", self._cancel)
         elif self.path == "/v1/refinements:validate":
             self._answer("validate", lambda: self.script.validation("", self._parts(body)))
+        elif self.path == "/v1/cameras:estimate":
+            self._answer("estimate", lambda: self.script.estimate("", self._parts(body)))
         else:
             self._answer("create", lambda: self.script.create(key, self._parts(body)), 202, key)
 

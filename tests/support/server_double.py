@@ -15,10 +15,13 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal
 
+from judgement import ESTIMATE
+
 from refine_proto.checks import Code
 from refine_proto.errors import Conflict, NotFound, RefineError
 from refine_proto.models import (
     Artifact,
+    CameraEstimate,
     Event,
     EventType,
     Finding,
@@ -99,6 +102,10 @@ class Script:
         self.uploads[key] = upload
         finding = Finding(code=Code.LOW_OVERLAP, severity=self.severity, message="expected more")
         return Validation.of(0.3, ["2 of 9 triangles", "expected more"], [finding])
+
+    def estimate(self, key: str, upload: dict[str, Any]) -> CameraEstimate:
+        self.uploads[key] = upload
+        return ESTIMATE
 
     def refinement(self, state: State | None = None, options: Any = None) -> Refinement:
         state = state or (State.CANCELLED if self.cancelled.is_set() else self.ends_in)

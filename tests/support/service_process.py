@@ -198,7 +198,7 @@ class Hand:
         def work() -> None:
             while not over.wait(0.02):
                 front = str(self.redis.lindex(queue, 0) or "").rpartition("-")[0]
-                if self.redis.hget(keys.JOB + front, "task") == Task.VALIDATE:
+                if self.redis.hget(keys.JOB + front, "task") not in (None, Task.REFINE):
                     self.redis.lpop(queue)
                     taken.append(self.start(front))
                     act(taken[-1])

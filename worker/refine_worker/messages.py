@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from refine_jobs.record import Task
-from refine_proto.models import Artifact, Finding, Judgement, Progress, Validation
+from refine_proto.models import Artifact, CameraEstimate, Finding, Judgement, Progress, Validation
 
 MAX_BYTES = 2**20  # of one message; files go through the blob store
 
@@ -85,7 +85,7 @@ class Answered(_Message):
     """The answer to a question."""
 
     type: Literal["answered"] = "answered"
-    answer: Validation
+    answer: Validation | CameraEstimate
 
 
 class Failed(_Message):

@@ -155,6 +155,7 @@ def _show(refinement: Refinement, as_json: bool) -> None:
     iou, progress, error = refinement.silhouette_iou, refinement.progress, refinement.error
     eta_s = refinement.eta_s
     ahead, plane, turn = refinement.queue_position, refinement.mirror_plane, refinement.camera_correction
+    camera = refinement.camera
     rows = {
         "id": refinement.id,
         "state": str(refinement.state) + (f", {ahead} ahead" if ahead is not None else ""),
@@ -166,6 +167,8 @@ def _show(refinement: Refinement, as_json: bool) -> None:
         "mirror": plane and f"{_numbers(plane.normal)} . x = {plane.offset:.4g}",
         "camera": turn and f"turned by {turn.turn_degrees:.1f} degrees",
         "metadata": ", ".join(f"{key}={value}" for key, value in refinement.metadata.items()),
+        "estimated": camera
+        and f"azimuth {camera.azimuth_degrees:.0f}, elevation {camera.elevation_degrees:.0f}",
         "warnings": "\n           ".join(refinement.warnings),
         "webhook": _deliveries(refinement),
         "created": refinement.created_at.isoformat(timespec="seconds"),

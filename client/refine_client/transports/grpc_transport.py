@@ -10,7 +10,7 @@ import grpc
 from google.protobuf.message import Message
 
 from refine_proto.lists import Lifetime, RefinementFilter
-from refine_proto.models import Artifact, Event, Refinement, RefinementPage, Validation
+from refine_proto.models import Artifact, CameraEstimate, Event, Refinement, RefinementPage, Validation
 from refine_proto.v1 import refine_pb2
 from refine_proto.v1.refine_pb2_grpc import RefinementsStub
 
@@ -48,6 +48,14 @@ class GrpcTransport:
                 self._stub.ValidateRefinement, grpc_messages.create(upload, files), deadline_s
             )
         return grpc_messages.parse(message, Validation)
+
+    def estimate_camera(self, upload: Upload) -> CameraEstimate:
+        with upload.opened() as files:
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
+            message = self._call(self._stub.EstimateCamera, grpc_messages.create(upload, files), deadline_s)
+        return grpc_messages.parse(message, CameraEstimate)
 
     def get(self, refinement_id: str) -> Refinement:
         request = refine_pb2.GetRefinementRequest(id=refinement_id)
@@ -146,6 +154,16 @@ class AsyncGrpcTransport:
                 self._stub.ValidateRefinement, grpc_messages.create(upload, files), deadline_s
             )
         return grpc_messages.parse(message, Validation)
+
+    async def estimate_camera(self, upload: Upload) -> CameraEstimate:
+        with upload.opened() as files:
+            deadline_s = grpc_messages.transfer_s(
+                self._connection, sum(file.size_bytes for file in files.values())
+            )
+            message = await self._call(
+                self._stub.EstimateCamera, grpc_messages.create(upload, files), deadline_s
+            )
+        return grpc_messages.parse(message, CameraEstimate)
 
     async def get(self, refinement_id: str) -> Refinement:
         request = refine_pb2.GetRefinementRequest(id=refinement_id)

@@ -10,7 +10,15 @@ from typing import Any, NoReturn
 import httpx
 
 from refine_proto.lists import Lifetime, RefinementFilter
-from refine_proto.models import Artifact, Event, EventType, Refinement, RefinementPage, Validation
+from refine_proto.models import (
+    Artifact,
+    CameraEstimate,
+    Event,
+    EventType,
+    Refinement,
+    RefinementPage,
+    Validation,
+)
 
 from ..address import Connection
 from ..errors import ConnectionLost
@@ -35,6 +43,12 @@ class RestTransport:
         with upload.opened() as files:
             response = self._send(rest_messages.validate(), files=rest_messages.parts(upload, files))
         return rest_messages.parse(response, Validation)
+
+    def estimate_camera(self, upload: Upload) -> CameraEstimate:
+        with upload.opened() as files:
+            request, parts = rest_messages.estimate_camera(), rest_messages.parts(upload, files)
+            response = self._send(request, files=parts)
+        return rest_messages.parse(response, CameraEstimate)
 
     def get(self, refinement_id: str) -> Refinement:
         return rest_messages.parse(self._send(rest_messages.get(refinement_id)), Refinement)
@@ -121,6 +135,12 @@ class AsyncRestTransport:
         with upload.opened() as files:
             response = await self._send(rest_messages.validate(), files=rest_messages.parts(upload, files))
         return rest_messages.parse(response, Validation)
+
+    async def estimate_camera(self, upload: Upload) -> CameraEstimate:
+        with upload.opened() as files:
+            request, parts = rest_messages.estimate_camera(), rest_messages.parts(upload, files)
+            response = await self._send(request, files=parts)
+        return rest_messages.parse(response, CameraEstimate)
 
     async def get(self, refinement_id: str) -> Refinement:
         return rest_messages.parse(await self._send(rest_messages.get(refinement_id)), Refinement)

@@ -79,6 +79,10 @@ def validate() -> Request:
     return Request("POST", "/v1/refinements:validate")
 
 
+def estimate_camera() -> Request:
+    return Request("POST", "/v1/cameras:estimate")
+
+
 def parts(upload: Upload, files: Mapping[str, OpenFile]) -> list[Part]:
     """The multipart body: what is small first, so that a server can refuse before the files come."""
     spec = upload.spec.model_dump(mode="json", exclude_none=True)

@@ -117,7 +117,7 @@ def make_report(inputs: Inputs, result: Result, config: RefineConfig) -> dict[st
     mesh_file = inputs.mesh_file
     device = result.mesh.vertices.device
     return {
-        **judgement_of(result).model_dump(mode="json"),
+        **judgement_of(result, inputs.estimate).model_dump(mode="json"),
         "views": [_of_view(view, mesh_file.mesh, result.mesh.to("cpu")) for view in inputs.views],
         "best_iteration": result.best_iteration,
         "mesh": {

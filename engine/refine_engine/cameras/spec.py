@@ -18,6 +18,8 @@ from refine_proto.cameras import (
     CAMERA_SPEC,
     DEFAULT_FOV_Y_DEGREES,
     CameraSpec,
+    EstimatedCamera,
+    Intrinsics,
     LookAtCamera,
     MatrixCamera,
 )
@@ -51,14 +53,29 @@ def read_camera(camera: bytes | Mapping[str, object]) -> CameraSpec:
 def camera_from_spec(spec: CameraSpec, width: int, height: int) -> Camera:
     """The camera that `spec` describes, for an image of `width` x `height` pixels.
 
-    Raises CameraInvalid for intrinsics that belong to another size of image.
+    Raises CameraInvalid for intrinsics that belong to another size of image, and for a camera that is to be
+    estimated, which takes the mesh.
     """
+    if isinstance(spec, EstimatedCamera):
+        raise CameraInvalid("expected a camera that is known, got type estimate; estimate it first")
     if isinstance(spec, LookAtCamera):
         pose = look_at_pose(spec, spec.azimuth_degrees, spec.elevation_degrees)
         f = _focal_length(spec, width, height)
         return Camera(pose, f, f, width / 2, height / 2, width, height)
     pose = WrittenPose.of(spec).world_to_camera()
     return Camera(pose, *_lens(spec, width, height), width, height, spec.projection)
+
+
+def spec_of(camera: Camera) -> MatrixCamera:
+    """A camera as a caller gives one."""
+    return MatrixCamera(
+        convention="opencv",
+        world_to_camera=camera.world_to_camera.tolist(),
+        intrinsics=Intrinsics(
+            fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, width=camera.width, height=camera.height
+        ),
+        projection=camera.projection,
+    )
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from refine_proto.cameras import CameraSpec, Intrinsics, MatrixCamera
+from refine_proto.cameras import CameraSpec
 from refine_proto.checks import Reading
 
 from ..cameras.readings import other_readings
 from ..cameras.seen import seen_by
+from ..cameras.spec import spec_of
 from ..method.symmetry import surface_points
 from ..values import Camera, Mesh, View
 
@@ -128,7 +129,7 @@ class Look:
         if _turned_only(self.camera, cameras[at]) and self._proportions_only(pictures[at]):
             return None
         name = list(readings)[at]
-        return Reading(name=name, silhouette_iou=round(scores[at], 3), camera=_written(cameras[at]))
+        return Reading(name=name, silhouette_iou=round(scores[at], 3), camera=spec_of(cameras[at]))
 
     def _proportions_only(self, picture: Tensor) -> bool:
         """Whether the given camera's picture has the silhouette's outline as the other `picture` has it."""
@@ -187,17 +188,17 @@ def drawn_box(mesh: Mesh, camera: Camera) -> tuple[Tensor, Tensor]:
     return screen.quantile(0.01, 0), screen.quantile(0.99, 0)
 
 
-def thinned(mesh: Mesh) -> Mesh:
-    """The mesh, or, of one with MANY_FACES, what is left when its vertices snap to a grid of CELLS.
+def thinned(mesh: Mesh, many_faces: int = MANY_FACES, cells_along: int = CELLS) -> Mesh:
+    """The mesh, or, of one with many faces, what is left when its vertices snap to a grid of cells.
 
-    Drawn at LONGEST_SIDE both look the same to about a pixel. A stray fragment does not make the
-    cells larger.
+    Drawn at LONGEST_SIDE both look the same to about a pixel with CELLS along the longest side. A stray
+    fragment does not make the cells larger.
     """
-    if len(mesh.faces) <= MANY_FACES:
+    if len(mesh.faces) <= many_faces:
         return mesh
     points = surface_points(mesh, 1000).to(mesh.vertices)
     low, high = points.quantile(0.01, 0), points.quantile(0.99, 0)
-    cell = float((high - low).max()) / CELLS
+    cell = float((high - low).max()) / cells_along
     snapped = ((mesh.vertices - low) / cell).round().clamp(-(2**20), 2**20 - 1).long() + 2**20
     key = (snapped[:, 0] << 42) | (snapped[:, 1] << 21) | snapped[:, 2]
     cells, cell_of = key.unique(return_inverse=True)
@@ -230,15 +231,3 @@ def _turned_only(one: Camera, other: Camera) -> bool:
     """Whether two cameras have the same lens and are as far from the world's origin."""
     a, b = (camera.world_to_camera[:3, 3].norm() for camera in (one, other))
     return one.fx == other.fx and one.cx == other.cx and bool(torch.isclose(a, b, rtol=1e-3))
-
-
-def _written(camera: Camera) -> MatrixCamera:
-    """As a caller gives one."""
-    return MatrixCamera(
-        convention="opencv",
-        world_to_camera=camera.world_to_camera.tolist(),
-        intrinsics=Intrinsics(
-            fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, width=camera.width, height=camera.height
-        ),
-        projection=camera.projection,
-    )

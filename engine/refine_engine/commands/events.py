@@ -21,6 +21,7 @@ from refine_proto.progress import ProgressMeter
 
 from .. import values
 from ..contract import judgement_of
+from ..estimation.estimate import Candidate
 from ..request import Inputs
 
 NEVER = datetime(9999, 12, 31, 23, 59, 59, tzinfo=UTC)  # as certificates say it (RFC 5280)
@@ -43,10 +44,12 @@ class RunEvents:
         )
         self._show, self._meter = show, ProgressMeter()
         self._sequence, self._told = 0, -INTERVAL_S
+        self._estimate: tuple[Candidate, ...] = ()
         self._send(EventType.STATE)
 
     def read(self, inputs: Inputs) -> None:
         """The inputs were read and checked."""
+        self._estimate = inputs.estimate
         self._refinement = self._refinement.model_copy(update={"checks": list(inputs.findings)})
 
     def report(self, progress: values.Progress) -> None:
@@ -69,7 +72,9 @@ class RunEvents:
             )
             for name, data in artifacts.items()
         ]
-        return self._end(state=State.SUCCEEDED, artifacts=described, **dict(judgement_of(result)))
+        return self._end(
+            state=State.SUCCEEDED, artifacts=described, **dict(judgement_of(result, self._estimate))
+        )
 
     def failed(self, error: RefineError) -> None:
         """The end: there is no result."""

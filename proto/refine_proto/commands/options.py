@@ -34,7 +34,7 @@ def add_views(parser: argparse.ArgumentParser, source: Callable[[str], Path | st
     )  # fmt: skip
     parser.add_argument(
         "--camera", type=Path, required=True, metavar="CAMERA.json",
-        help="of the silhouette; or transforms.json#FRAME, COLMAP_FOLDER#IMAGE",
+        help="of the silhouette; or transforms.json#FRAME, COLMAP_FOLDER#IMAGE, estimate",
     )  # fmt: skip
     parser.add_argument(
         "--ignore", type=source, metavar="IMAGE", help="where it shows an object, nothing is known (none)"

@@ -90,16 +90,18 @@ class RefinementOptions(_message.Message):
     def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., symmetry: _Optional[_Union[RefinementOptions.Symmetry, str]] = ..., topology: _Optional[_Union[RefinementOptions.Topology, str]] = ..., correct_camera: bool = ..., checks: _Optional[_Union[RefinementOptions.Checks, str]] = ..., priority: _Optional[_Union[RefinementOptions.Priority, str]] = ..., ignore_grey: _Optional[int] = ...) -> None: ...
 
 class CameraSpec(_message.Message):
-    __slots__ = ("look_at", "matrix", "pytorch3d", "network")
+    __slots__ = ("look_at", "matrix", "pytorch3d", "network", "estimate")
     LOOK_AT_FIELD_NUMBER: _ClassVar[int]
     MATRIX_FIELD_NUMBER: _ClassVar[int]
     PYTORCH3D_FIELD_NUMBER: _ClassVar[int]
     NETWORK_FIELD_NUMBER: _ClassVar[int]
+    ESTIMATE_FIELD_NUMBER: _ClassVar[int]
     look_at: LookAtCamera
     matrix: MatrixCamera
     pytorch3d: PyTorch3DCamera
     network: NetworkCamera
-    def __init__(self, look_at: _Optional[_Union[LookAtCamera, _Mapping]] = ..., matrix: _Optional[_Union[MatrixCamera, _Mapping]] = ..., pytorch3d: _Optional[_Union[PyTorch3DCamera, _Mapping]] = ..., network: _Optional[_Union[NetworkCamera, _Mapping]] = ...) -> None: ...
+    estimate: EstimatedCamera
+    def __init__(self, look_at: _Optional[_Union[LookAtCamera, _Mapping]] = ..., matrix: _Optional[_Union[MatrixCamera, _Mapping]] = ..., pytorch3d: _Optional[_Union[PyTorch3DCamera, _Mapping]] = ..., network: _Optional[_Union[NetworkCamera, _Mapping]] = ..., estimate: _Optional[_Union[EstimatedCamera, _Mapping]] = ...) -> None: ...
 
 class LookAtCamera(_message.Message):
     __slots__ = ("azimuth_degrees", "elevation_degrees", "distance", "fov_y_degrees", "fov_x_degrees", "roll_degrees")
@@ -199,6 +201,20 @@ class NetworkCamera(_message.Message):
     fov_y_degrees: float
     def __init__(self, name: _Optional[_Union[NetworkCamera.Name, str]] = ..., azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., distance: _Optional[float] = ..., fov_y_degrees: _Optional[float] = ...) -> None: ...
 
+class EstimatedCamera(_message.Message):
+    __slots__ = ("fov_y_degrees", "fov_x_degrees", "azimuth_degrees", "elevation_degrees", "roll_degrees")
+    FOV_Y_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    FOV_X_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    AZIMUTH_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ELEVATION_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ROLL_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    fov_y_degrees: float
+    fov_x_degrees: float
+    azimuth_degrees: float
+    elevation_degrees: float
+    roll_degrees: float
+    def __init__(self, fov_y_degrees: _Optional[float] = ..., fov_x_degrees: _Optional[float] = ..., azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., roll_degrees: _Optional[float] = ...) -> None: ...
+
 class Intrinsics(_message.Message):
     __slots__ = ("fx", "fy", "cx", "cy", "width", "height")
     FX_FIELD_NUMBER: _ClassVar[int]
@@ -285,7 +301,7 @@ class Webhook(_message.Message):
     def __init__(self, url: _Optional[str] = ..., events: _Optional[_Iterable[_Union[Webhook.Event, str]]] = ...) -> None: ...
 
 class Refinement(_message.Message):
-    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction", "checks", "metadata", "eta_s", "webhook_deliveries")
+    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction", "camera", "checks", "metadata", "eta_s", "webhook_deliveries")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Refinement.State]
@@ -339,6 +355,7 @@ class Refinement(_message.Message):
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
     MIRROR_PLANE_FIELD_NUMBER: _ClassVar[int]
     CAMERA_CORRECTION_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
     CHECKS_FIELD_NUMBER: _ClassVar[int]
     METADATA_FIELD_NUMBER: _ClassVar[int]
     ETA_S_FIELD_NUMBER: _ClassVar[int]
@@ -361,11 +378,12 @@ class Refinement(_message.Message):
     warnings: _containers.RepeatedScalarFieldContainer[str]
     mirror_plane: MirrorPlane
     camera_correction: CameraCorrection
+    camera: CameraEstimate
     checks: _containers.RepeatedCompositeFieldContainer[Finding]
     metadata: _containers.ScalarMap[str, str]
     eta_s: float
     webhook_deliveries: _containers.RepeatedCompositeFieldContainer[WebhookDelivery]
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., metadata: _Optional[_Mapping[str, str]] = ..., eta_s: _Optional[float] = ..., webhook_deliveries: _Optional[_Iterable[_Union[WebhookDelivery, _Mapping]]] = ...) -> None: ...
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ..., camera: _Optional[_Union[CameraEstimate, _Mapping]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., metadata: _Optional[_Mapping[str, str]] = ..., eta_s: _Optional[float] = ..., webhook_deliveries: _Optional[_Iterable[_Union[WebhookDelivery, _Mapping]]] = ...) -> None: ...
 
 class WebhookDelivery(_message.Message):
     __slots__ = ("attempt", "time", "status", "error", "next_attempt_at")
@@ -457,6 +475,34 @@ class CameraCorrection(_message.Message):
     TURN_DEGREES_FIELD_NUMBER: _ClassVar[int]
     turn_degrees: float
     def __init__(self, turn_degrees: _Optional[float] = ...) -> None: ...
+
+class CameraEstimate(_message.Message):
+    __slots__ = ("camera", "silhouette_iou", "azimuth_degrees", "elevation_degrees", "alternatives")
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    SILHOUETTE_IOU_FIELD_NUMBER: _ClassVar[int]
+    AZIMUTH_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ELEVATION_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ALTERNATIVES_FIELD_NUMBER: _ClassVar[int]
+    camera: CameraSpec
+    silhouette_iou: float
+    azimuth_degrees: float
+    elevation_degrees: float
+    alternatives: _containers.RepeatedCompositeFieldContainer[CameraAlternative]
+    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., silhouette_iou: _Optional[float] = ..., azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., alternatives: _Optional[_Iterable[_Union[CameraAlternative, _Mapping]]] = ...) -> None: ...
+
+class CameraAlternative(_message.Message):
+    __slots__ = ("camera", "silhouette_iou", "azimuth_degrees", "elevation_degrees", "mirror_ambiguous")
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    SILHOUETTE_IOU_FIELD_NUMBER: _ClassVar[int]
+    AZIMUTH_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    ELEVATION_DEGREES_FIELD_NUMBER: _ClassVar[int]
+    MIRROR_AMBIGUOUS_FIELD_NUMBER: _ClassVar[int]
+    camera: CameraSpec
+    silhouette_iou: float
+    azimuth_degrees: float
+    elevation_degrees: float
+    mirror_ambiguous: bool
+    def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., silhouette_iou: _Optional[float] = ..., azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., mirror_ambiguous: bool = ...) -> None: ...
 
 class Artifact(_message.Message):
     __slots__ = ("name", "media_type", "size_bytes", "sha256", "url")

@@ -47,6 +47,11 @@ class RefinementsStub(object):
                 request_serializer=refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.SerializeToString,
                 response_deserializer=refine__proto_dot_v1_dot_refine__pb2.Validation.FromString,
                 _registered_method=True)
+        self.EstimateCamera = channel.stream_unary(
+                '/refine.v1.Refinements/EstimateCamera',
+                request_serializer=refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.SerializeToString,
+                response_deserializer=refine__proto_dot_v1_dot_refine__pb2.CameraEstimate.FromString,
+                _registered_method=True)
         self.GetRefinement = channel.unary_unary(
                 '/refine.v1.Refinements/GetRefinement',
                 request_serializer=refine__proto_dot_v1_dot_refine__pb2.GetRefinementRequest.SerializeToString,
@@ -98,6 +103,13 @@ class RefinementsServicer(object):
 
     def ValidateRefinement(self, request_iterator, context):
         """The same messages as for CreateRefinement. Says what looks wrong; nothing is refined or kept.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def EstimateCamera(self, request_iterator, context):
+        """The same messages again, with a camera of type estimate. Says where the camera may be; nothing is kept.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -164,6 +176,11 @@ def add_RefinementsServicer_to_server(servicer, server):
                     servicer.ValidateRefinement,
                     request_deserializer=refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.FromString,
                     response_serializer=refine__proto_dot_v1_dot_refine__pb2.Validation.SerializeToString,
+            ),
+            'EstimateCamera': grpc.stream_unary_rpc_method_handler(
+                    servicer.EstimateCamera,
+                    request_deserializer=refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.FromString,
+                    response_serializer=refine__proto_dot_v1_dot_refine__pb2.CameraEstimate.SerializeToString,
             ),
             'GetRefinement': grpc.unary_unary_rpc_method_handler(
                     servicer.GetRefinement,
@@ -257,6 +274,33 @@ class Refinements(object):
             '/refine.v1.Refinements/ValidateRefinement',
             refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.SerializeToString,
             refine__proto_dot_v1_dot_refine__pb2.Validation.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def EstimateCamera(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_unary(
+            request_iterator,
+            target,
+            '/refine.v1.Refinements/EstimateCamera',
+            refine__proto_dot_v1_dot_refine__pb2.CreateRefinementRequest.SerializeToString,
+            refine__proto_dot_v1_dot_refine__pb2.CameraEstimate.FromString,
             options,
             channel_credentials,
             insecure,

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from refine_jobs.record import Task
-from refine_proto.errors import Conflict, RefineError, Unavailable, from_problem
+from refine_proto.errors import Conflict, RefineError, Unavailable, from_problem, from_validation
+from refine_proto.models import EstimatedCamera
 
 from .call import Call
 from .edge import Edge
@@ -47,6 +48,15 @@ async def ask(edge: Edge, call: Call, upload: Upload, task: Task) -> Mapping[str
         return answer
     finally:
         await asyncio.shield(_forget(edge, call.owner, question))
+
+
+async def ask_for_camera(edge: Edge, call: Call, upload: Upload) -> Mapping[str, Any]:
+    """As `ask`, for the camera of the upload; InvalidInput unless that is to be estimated."""
+    camera = upload.spec.camera
+    if not isinstance(camera, EstimatedCamera):
+        told = f"expected a camera of type estimate, got {camera.type}"
+        raise from_validation([{"loc": ("camera",), "msg": told}])
+    return await ask(edge, call, upload, Task.ESTIMATE)
 
 
 async def _forget(edge: Edge, owner: str, question: str) -> None:

@@ -6,7 +6,7 @@ from fastapi import FastAPI
 from starlette.types import ASGIApp
 
 from ..edge.edge import Edge
-from . import artifacts, events, health, page, refinements
+from . import artifacts, cameras, events, health, page, refinements
 from .middleware import HttpCalls
 from .openapi import describe
 from .origins import OwnPagesOnly, allow_origins
@@ -28,7 +28,7 @@ def make_app(edge: Edge) -> ASGIApp:
         telemetry={"tracing": False},  # middleware.py has a span of each call, refused ones too
     )
     app.state.edge = edge
-    for module in (refinements, events, artifacts, health, page):
+    for module in (refinements, cameras, events, artifacts, health, page):
         app.include_router(module.router)
     install_handlers(app)
     app.openapi = describe(app)  # type: ignore[method-assign]

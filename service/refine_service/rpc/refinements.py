@@ -11,12 +11,12 @@ from refine_jobs.record import Task
 from refine_proto.convert import to_message
 from refine_proto.errors import InvalidInput, RangeNotSatisfiable
 from refine_proto.lists import make_filter
-from refine_proto.models import FieldError, Validation
+from refine_proto.models import CameraEstimate, FieldError, Validation
 from refine_proto.v1 import refine_pb2 as pb
 from refine_proto.v1.refine_pb2_grpc import RefinementsServicer
 
 from ..edge.artifacts import find_artifact, open_artifact
-from ..edge.ask import ask
+from ..edge.ask import ask, ask_for_camera
 from ..edge.call import CALL, Call
 from ..edge.edge import Edge, with_urls
 from ..edge.follow import follow
@@ -60,6 +60,17 @@ class Refinements(RefinementsServicer):
             async with aclosing(upload):
                 answer = await ask(edge, CALL.get(), upload, Task.VALIDATE)
         return to_message(Validation.model_validate(answer), pb.Validation)
+
+    async def EstimateCamera(
+        self, request_iterator: AsyncIterator[pb.CreateRefinementRequest], context: RpcContext
+    ) -> pb.CameraEstimate:
+        """Header, then chunks; its request id means nothing here."""
+        edge = self._edge
+        edge.check_not_draining()
+        _, upload = await read_messages(request_iterator, edge.settings)
+        async with aclosing(upload):
+            answer = await ask_for_camera(edge, CALL.get(), upload)
+        return to_message(CameraEstimate.model_validate(answer), pb.CameraEstimate)
 
     async def GetRefinement(self, request: pb.GetRefinementRequest, context: RpcContext) -> pb.Refinement:
         """One refinement."""

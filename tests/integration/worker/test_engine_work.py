@@ -22,11 +22,12 @@ from refine_engine.errors import SilhouetteInvalid
 from refine_engine.values import Progress
 from refine_jobs import keys
 from refine_jobs.blobs import BlobStore
+from refine_jobs.record import Task
 from refine_proto import models
 from refine_worker import messages
 from refine_worker.engine.main import work
 from refine_worker.engine.refinery import Refinery, Reporter
-from refine_worker.messages import Failed, FromEngine, Progressed, Ready, Run
+from refine_worker.messages import Answered, Failed, FromEngine, Progressed, Ready, Run
 from refine_worker.settings import ReadLimits
 
 SAMPLE = Path(__file__).parents[3] / "examples" / "samples" / "table"
@@ -58,6 +59,17 @@ def run(job_id: str, **options: object) -> Run:
     camera = json.loads((SAMPLE / "camera.json").read_text())
     spec = {"camera": camera, "mesh_format": "obj", "options": {"iterations": 2, **options}}
     return Run(job_id=job_id, attempt=1, spec=spec)
+
+
+def test_a_camera_is_estimated(blobs: BlobStore, pipe: tuple[Connection, Connection]) -> None:
+    ours, theirs = pipe
+    spec = {"camera": {"type": "estimate"}, "mesh_format": "obj"}
+    asked = Run(job_id="job", attempt=1, task=Task.ESTIMATE, spec=spec)
+    work(Refinery(blobs, torch.device("cpu"), LIMITS, 10), asked, theirs, threading.Event())
+    answered = told(ours)[-1]
+    assert isinstance(answered, Answered)
+    assert isinstance(answered.answer, models.CameraEstimate)
+    assert answered.answer.silhouette_iou > 0.5
 
 
 def told(connection: Connection) -> list[FromEngine]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from faces import Face
+from judgement import ESTIMATE
 from server_double import ARTIFACTS, STEPS, Script
 
 from refine_client import AsyncRefineClient, ConnectionLost, RefineClient, RetryPolicy, View
@@ -74,6 +75,20 @@ def test_validate_sends_the_same_and_gets_what_looks_wrong(
     assert (upload["mesh"], upload["mesh_format"]) == (mesh.read_bytes(), "obj")
     assert upload["options"]["checks"] == "strict"
     assert [call.name for call in script.calls] == ["validate", "validate"]  # retried while busy
+
+
+def test_estimate_camera_sends_what_is_known_and_gets_the_camera_to_send(
+    face: Face, script: Script, mesh: Path, silhouette: Path
+) -> None:
+    script.failures = [errors.Unavailable("all slots are busy", retry_after_s=0.01)]
+    known = {"azimuth_degrees": 30, "fov_y_degrees": 40}
+    assert face.call("estimate_camera", mesh, silhouette, known, ignore=b"hair") == ESTIMATE
+    upload = script.uploads[""]
+    assert (upload["mesh"], upload["ignore"], upload["mesh_format"]) == (mesh.read_bytes(), b"hair", "obj")
+    assert upload["camera"] == {"type": "estimate", **known, "roll_degrees": 0}
+    assert [call.name for call in script.calls] == ["estimate", "estimate"]
+    face.call("estimate_camera", mesh, silhouette)
+    assert script.uploads[""]["camera"] == {"type": "estimate", "roll_degrees": 0}
 
 
 def test_submit_sends_further_views(face: Face, script: Script, silhouette: Path, camera: Camera) -> None:

@@ -118,6 +118,8 @@ def _attempt(
     try:
         if run.task is Task.VALIDATE:
             return refinery.validate(run, tell)
+        if run.task is Task.ESTIMATE:
+            return refinery.estimate(run, tell)
         return refinery.refine(run, tell, cancelled.is_set)
     except RefineError as error:
         return Failed(reason=error.reason, detail=str(error))

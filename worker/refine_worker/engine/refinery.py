@@ -11,7 +11,7 @@ import torch
 from refine_engine.artifacts.make import make_artifacts
 from refine_engine.cameras.seen import mean_silhouette_iou
 from refine_engine.checks.check import GivenPlane, refuse
-from refine_engine.contract import config_of, judgement_of
+from refine_engine.contract import config_of, estimate_of, judgement_of
 from refine_engine.method.config import RefineConfig
 from refine_engine.request import Inputs, Observation, check_files
 from refine_engine.values import Progress
@@ -56,7 +56,11 @@ class Refinery:
             result = inputs.refine(config, self._device, Reporter(tell), cancelled, checkpoints)
             tell(PhaseStarted(phase=Phase.STORE))
             artifacts = self._store(run, make_artifacts(inputs, result, config))
-        return Done(artifacts=artifacts, judgement=judgement_of(result), checks=inputs.findings)
+        return Done(
+            artifacts=artifacts,
+            judgement=judgement_of(result, inputs.estimate),
+            checks=inputs.findings,
+        )
 
     def validate(self, run: Run, tell: Tell) -> Answered:
         """Say what `refine` would find in the inputs. Raises the engine's errors and MemoryShort."""
@@ -64,6 +68,12 @@ class Refinery:
         inputs = self._read(run, spec, config_of(spec.options), tell)
         iou = mean_silhouette_iou(inputs.mesh_file.mesh, inputs.views)
         return Answered(answer=Validation.of(iou, inputs.warnings, inputs.findings))
+
+    def estimate(self, run: Run, tell: Tell) -> Answered:
+        """Say where the camera may be; the edge has seen that it is to be estimated. The same errors."""
+        spec = RefinementSpec.model_validate(run.spec)
+        inputs = self._read(run, spec, config_of(spec.options), tell)
+        return Answered(answer=estimate_of(inputs.estimate))
 
     def clear(self) -> None:
         """Give back what a job that has ended, in whatever way, held on the device: other slots want it.

@@ -1,0 +1,1 @@
+"""The camera that saw a silhouette, estimated from the silhouette and the mesh alone."""
