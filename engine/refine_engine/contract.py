@@ -10,6 +10,7 @@ from refine_proto.models import (
     CameraCorrection,
     CameraEstimate,
     Judgement,
+    MeshCounts,
     MirrorPlane,
     Outcome,
     RefinementOptions,
@@ -18,6 +19,7 @@ from refine_proto.models import (
 
 from .cameras.spec import spec_of
 from .estimation.estimate import Candidate
+from .files.mesh_file import MeshFile
 from .method.config import RefineConfig, Symmetry, Topology
 from .method.presets import make_config
 from .values import Result
@@ -37,8 +39,8 @@ def config_of(options: RefinementOptions) -> RefineConfig:
     )
 
 
-def judgement_of(result: Result, estimate: Sequence[Candidate]) -> Judgement:
-    """What the contract tells of a result, and of its camera, if that was estimated."""
+def judgement_of(coarse: MeshFile, result: Result, estimate: Sequence[Candidate]) -> Judgement:
+    """What the contract tells of the result of refining `coarse`, and of its camera, if it was estimated."""
     plane, turn = result.plane, result.camera_turn_degrees
     return Judgement(
         silhouette_iou=SilhouetteIou(before=result.silhouette_iou_before, after=result.silhouette_iou_after),
@@ -48,6 +50,23 @@ def judgement_of(result: Result, estimate: Sequence[Candidate]) -> Judgement:
         and MirrorPlane(normal=plane.normal.tolist(), offset=plane.offset, error=plane.error),
         camera_correction=None if turn is None else CameraCorrection(turn_degrees=turn),
         camera=estimate_of(estimate) if estimate else None,
+        mesh_counts=_mesh_counts(coarse, result),
+    )
+
+
+def _mesh_counts(coarse: MeshFile, result: Result) -> MeshCounts:
+    optimised_vertices, optimised_faces = len(coarse.mesh.vertices), len(coarse.mesh.faces)
+    if result.proxy is not None:
+        optimised_vertices, optimised_faces = result.proxy.vertices, result.proxy.faces
+    return MeshCounts(
+        vertices=coarse.given_vertices,
+        faces=coarse.given_faces,
+        source_vertices=len(coarse.vertex_of_source),
+        optimised_vertices=optimised_vertices,
+        optimised_faces=optimised_faces,
+        refined_vertices=len(result.mesh.vertices),
+        refined_faces=len(result.mesh.faces),
+        removed_faces=int((~result.kept_faces).sum()),
     )
 
 

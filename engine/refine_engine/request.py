@@ -76,12 +76,14 @@ def read_inputs(
     more_views: Sequence[Observation] = (),
     checks: Checks = Checks.WARN,
     symmetry: GivenPlane | None = None,
+    subdivide: bool = False,
 ) -> Inputs:
     """Read a mesh file and a silhouette image, for a camera as `read_camera` gives it; and further views.
 
     `mesh_name` matters for its suffix where the bytes do not tell the format; `beside` gives the files that
     the mesh refers to. See `read_silhouette` for `ignore_grey` and `ignore`. `symmetry` is checked where it
-    is given. Raises an InputError: a file or a camera is invalid, or `checks` refuses them together.
+    is given. With `subdivide` the long edges of the mesh are split. Raises an InputError: a file or a camera
+    is invalid, or `checks` refuses them together.
     """
     inputs = check_files(
         mesh,
@@ -96,6 +98,7 @@ def read_inputs(
         more_views=more_views,
         checks=checks,
         symmetry=symmetry,
+        subdivide=subdivide,
     )
     refuse(inputs.findings)
     return inputs
@@ -115,9 +118,10 @@ def check_files(
     more_views: Sequence[Observation] = (),
     checks: Checks = Checks.WARN,
     symmetry: GivenPlane | None = None,
+    subdivide: bool = False,
 ) -> Inputs:
     """As `read_inputs`, but what `checks` refuses is told in the findings and not raised."""
-    mesh_file = read_mesh(mesh, mesh_name, limits, beside)
+    mesh_file = read_mesh(mesh, mesh_name, limits, beside, subdivide=subdivide)
     views: list[View] = []
     findings: list[Finding] = []
     warnings = [*mesh_file.warnings]

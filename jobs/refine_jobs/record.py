@@ -18,6 +18,7 @@ from refine_proto.models import (
     Event,
     EventType,
     Finding,
+    MeshCounts,
     MirrorPlane,
     Outcome,
     ProblemDetails,
@@ -37,6 +38,7 @@ _OF_RESULT = (
     "mirror_plane",
     "camera_correction",
     "camera",
+    "mesh_counts",
     "checks",
     "answer",
 )
@@ -101,6 +103,7 @@ class Job(BaseModel):
     mirror_plane: MirrorPlane | None = None
     camera_correction: CameraCorrection | None = None
     camera: CameraEstimate | None = None
+    mesh_counts: MeshCounts | None = None
     checks: tuple[Finding, ...] = ()
     answer: Mapping[str, Any] | None = None  # to a question
     webhook_deliveries: tuple[WebhookDelivery, ...] = ()
@@ -167,6 +170,7 @@ class Job(BaseModel):
             camera_correction=self.camera_correction,
             webhook_deliveries=list(self.webhook_deliveries),
             camera=self.camera,
+            mesh_counts=self.mesh_counts,
         )
 
 

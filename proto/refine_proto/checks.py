@@ -42,6 +42,7 @@ class Code(OpenEnum):
     OBJECT_TOO_SMALL = "OBJECT_TOO_SMALL"
     SILHOUETTE_CUT_OFF = "SILHOUETTE_CUT_OFF"
     SYMMETRY_ELSEWHERE = "SYMMETRY_ELSEWHERE"
+    MESH_TOO_COARSE = "MESH_TOO_COARSE"
 
 
 class Reading(BaseModel, frozen=True, extra="ignore", allow_inf_nan=False):

@@ -113,6 +113,11 @@ class RefinementOptions(Input):
     correct_camera: bool = Field(
         False, description="The camera is a few degrees off: turn it about the object as the silhouette asks."
     )
+    subdivide: bool = Field(
+        False,
+        description="Split the long edges of a mesh with few vertices, so that it can follow the silhouette; "
+        "the refined mesh has the new vertices.",
+    )
     silhouette_threshold: Number = Field(
         SILHOUETTE_THRESHOLD,
         gt=0.0,
@@ -319,6 +324,23 @@ class CameraEstimate(Output):
     alternatives: list[CameraAlternative] = Field([], description="Other directions, the likelier first.")
 
 
+class MeshCounts(Output):
+    """Vertices and faces: of the coarse mesh, of what was optimised, and of the refined mesh.
+
+    Vertices at one position count once. A mesh of many vertices is optimised by way of a smaller one, one of
+    few is subdivided where `subdivide` asks for it.
+    """
+
+    vertices: int = Field(description="Of the coarse mesh.")
+    faces: int
+    source_vertices: int = Field(description="Before those at one position were joined.")
+    optimised_vertices: int
+    optimised_faces: int
+    refined_vertices: int
+    refined_faces: int
+    removed_faces: int = Field(description="Left out of the refined mesh: they cover holes.")
+
+
 class Judgement(Output):
     """What a run says of its result, without knowing the truth; a Refinement shows all of it."""
 
@@ -328,6 +350,7 @@ class Judgement(Output):
     mirror_plane: MirrorPlane | None = None
     camera_correction: CameraCorrection | None = None
     camera: CameraEstimate | None = None
+    mesh_counts: MeshCounts | None = None
 
 
 class Artifact(Output):
@@ -403,6 +426,7 @@ class Refinement(Output):
     metadata: dict[str, str] = Field({}, description="As it was submitted.")
     webhook_deliveries: list[WebhookDelivery] = Field([], description="Attempts so far, oldest first.")
     camera: CameraEstimate | None = Field(None, description="With a camera of type `estimate` only.")
+    mesh_counts: MeshCounts | None = Field(None, description="How large the meshes were; with a result only.")
 
     @field_validator("options", mode="before")
     @classmethod

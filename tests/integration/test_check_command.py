@@ -133,7 +133,7 @@ def test_what_is_said_about_the_file_comes_after_the_verdict(
     camera = {"type": "look_at", "azimuth_degrees": 0, "elevation_degrees": 0, "distance": 2}
     (tmp_path / "camera.json").write_text(json.dumps(camera))
     pixels = np.zeros((64, 64), np.uint8)
-    pixels[20:44, 14:50] = 255
+    pixels[22:42, 16:48] = 255
     Image.fromarray(pixels).save(tmp_path / "silhouette.png")
     inputs = [
         str(tmp_path / "box.obj"),

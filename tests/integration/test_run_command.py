@@ -55,7 +55,7 @@ def inputs(tmp_path: Path) -> Path:
     (tmp_path / "box.obj").write_text(BOX)
     (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
     pixels = np.zeros((64, 64), np.uint8)
-    pixels[20:44, 14:50] = 255
+    pixels[22:42, 16:48] = 255
     Image.fromarray(pixels).save(tmp_path / "silhouette.png")
     return tmp_path
 
@@ -92,6 +92,16 @@ def test_refined_mesh_keeps_its_faces_and_moves_its_vertices(inputs: Path) -> No
     refined = read_mesh((inputs / "out" / "refined.glb").read_bytes(), "refined.glb").mesh
     assert refined.faces.shape == coarse.faces.shape
     assert float((refined.vertices - coarse.vertices).abs().max()) > 1e-4
+
+
+def test_a_coarse_mesh_is_subdivided_when_asked_for(inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run.run_command(arguments(inputs, "--subdivide")) == 0
+    counts = json.loads((inputs / "out" / "report.json").read_text())["mesh_counts"]
+    assert (counts["vertices"], counts["faces"]) == (8, 12)
+    assert 500 < counts["optimised_vertices"] == counts["refined_vertices"]
+    refined = read_mesh((inputs / "out" / "refined.glb").read_bytes(), "refined.glb").mesh
+    assert len(refined.vertices) == counts["refined_vertices"]
+    assert "the mesh was subdivided, from 8 to" in capsys.readouterr().err
 
 
 def test_report_holds_the_effective_options(inputs: Path) -> None:

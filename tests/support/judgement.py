@@ -8,6 +8,7 @@ from refine_proto.models import (
     CameraEstimate,
     Judgement,
     MatrixCamera,
+    MeshCounts,
     MirrorPlane,
     Outcome,
     SilhouetteIou,
@@ -39,4 +40,14 @@ JUDGEMENT = Judgement(
     mirror_plane=MirrorPlane(normal=(0.6, 0.0, 0.8), offset=0.25, error=0.01),
     camera_correction=CameraCorrection(turn_degrees=1.5),
     camera=ESTIMATE,
+    mesh_counts=MeshCounts(
+        vertices=8,
+        faces=12,
+        source_vertices=24,
+        optimised_vertices=1500,
+        optimised_faces=2996,
+        refined_vertices=1500,
+        refined_faces=2900,
+        removed_faces=96,
+    ),
 )

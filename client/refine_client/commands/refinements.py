@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from refine_proto.commands.ending import Parser
-from refine_proto.models import Refinement, State
+from refine_proto.models import MeshCounts, Refinement, State
 
 from .server_command import add_metadata, command, connect, make_parser, read_metadata
 
@@ -156,6 +156,7 @@ def _show(refinement: Refinement, as_json: bool) -> None:
     eta_s = refinement.eta_s
     ahead, plane, turn = refinement.queue_position, refinement.mirror_plane, refinement.camera_correction
     camera = refinement.camera
+    counts = refinement.mesh_counts
     rows = {
         "id": refinement.id,
         "state": str(refinement.state) + (f", {ahead} ahead" if ahead is not None else ""),
@@ -169,6 +170,7 @@ def _show(refinement: Refinement, as_json: bool) -> None:
         "metadata": ", ".join(f"{key}={value}" for key, value in refinement.metadata.items()),
         "estimated": camera
         and f"azimuth {camera.azimuth_degrees:.0f}, elevation {camera.elevation_degrees:.0f}",
+        "vertices": counts and _vertices(counts),
         "warnings": "\n           ".join(refinement.warnings),
         "webhook": _deliveries(refinement),
         "created": refinement.created_at.isoformat(timespec="seconds"),
@@ -185,6 +187,15 @@ def _deliveries(refinement: Refinement) -> str:
         + (delivery.error or f"delivered ({delivery.status})")
         for delivery in refinement.webhook_deliveries
     )
+
+
+def _vertices(counts: MeshCounts) -> str:
+    told = f"{counts.vertices}"
+    if counts.refined_vertices != counts.vertices:
+        told += f", subdivided to {counts.refined_vertices}"
+    if counts.optimised_vertices != counts.refined_vertices:
+        told += f", {counts.optimised_vertices} optimised"
+    return told
 
 
 def _numbers(values: Iterable[float]) -> str:

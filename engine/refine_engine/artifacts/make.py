@@ -117,15 +117,9 @@ def make_report(inputs: Inputs, result: Result, config: RefineConfig) -> dict[st
     mesh_file = inputs.mesh_file
     device = result.mesh.vertices.device
     return {
-        **judgement_of(result, inputs.estimate).model_dump(mode="json"),
+        **judgement_of(mesh_file, result, inputs.estimate).model_dump(mode="json"),
         "views": [_of_view(view, mesh_file.mesh, result.mesh.to("cpu")) for view in inputs.views],
         "best_iteration": result.best_iteration,
-        "mesh": {
-            "vertices": len(mesh_file.mesh.vertices),
-            "faces": len(mesh_file.mesh.faces),
-            "removed_faces": int((~result.kept_faces).sum()),
-            "source_vertices": len(mesh_file.vertex_of_source),
-        },
         "confidence": {
             "min": float(result.confidence.min()),
             "mean": float(result.confidence.mean()),

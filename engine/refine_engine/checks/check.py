@@ -10,23 +10,34 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import torch
 import torch.nn.functional as F
 
 from refine_proto.cameras import CameraSpec
 from refine_proto.checks import Checks, Code, Finding, Severity
 
-from ..errors import CameraInvalid, InputError, ObjectOutOfView, OptionsInvalid, SilhouetteInvalid
+from ..errors import (
+    CameraInvalid,
+    InputError,
+    MeshInvalid,
+    ObjectOutOfView,
+    OptionsInvalid,
+    SilhouetteInvalid,
+)
 from ..method.config import RefineConfig
 from ..method.planes import longest_side
 from ..method.symmetry import least_mirrored_offset, mirror_error
 from ..values import Mesh, View
-from .look import FULL, LOW_IOU, Look, drawn_box, is_inside, whereabouts
+from .look import FULL, LOW_IOU, MANY_FACES, Look, drawn_box, is_inside, whereabouts
 
 INVERTED_IOU = 0.8  # of the coarse mesh with the background: no accident
 CUT_OFF_PIXELS = 0.02  # of the object's longest side, on the border of the image
 FEW_PIXELS = 8  # an outline of an object with a shorter longest side says nothing
 SYMMETRY_FACTOR = 0.5  # of the given plane's error: what another axis has to have for a finding
 SYMMETRY_ERROR = 0.02  # longest sides: with less, the given plane is good enough
+COARSE_EDGE = 0.12  # longest sides: a triangle with a longer edge bends an outline at its corners only
+COARSE_SHARE = 0.75  # of the surface that such triangles cover
+ENOUGH_IOU = 0.8  # a mesh with more need not follow much
 
 ERRORS: Mapping[Code, type[InputError]] = {
     Code.SILHOUETTE_FILLS_IMAGE: SilhouetteInvalid,
@@ -39,6 +50,7 @@ ERRORS: Mapping[Code, type[InputError]] = {
     Code.OBJECT_TOO_SMALL: SilhouetteInvalid,
     Code.SILHOUETTE_CUT_OFF: SilhouetteInvalid,
     Code.SYMMETRY_ELSEWHERE: OptionsInvalid,
+    Code.MESH_TOO_COARSE: MeshInvalid,
 }
 """As what a refused finding is raised."""
 AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
@@ -73,6 +85,7 @@ def check_inputs(
     found = [*_about_the_silhouette(looked), *_about_the_camera(looked), *_about_the_size(looked)]
     if symmetry is not None:
         found += _about_the_symmetry(looked.thin, symmetry)
+    found += () if found else _about_the_triangles(looked)
     return tuple(_judged(finding, checks) for finding in found)
 
 
@@ -205,6 +218,23 @@ def _about_the_symmetry(mesh: Mesh, plane: GivenPlane) -> Iterator[Finding]:
             f"expected a mirror plane that mirrors the mesh, got one that is off by {given:.3f} of its "
             f"longest side; one across {name} is off by {error:.3f}: give symmetry_normal {across} "
             "without an offset, or leave it out to have the plane found",
+        )
+
+
+def _about_the_triangles(looked: Look) -> Iterator[Finding]:
+    """Whether there are enough vertices to follow the silhouette; many triangles are never too few."""
+    mesh = looked.mesh
+    if len(mesh.faces) > MANY_FACES or looked.iou >= ENOUGH_IOU:
+        return
+    corners = mesh.vertices[mesh.faces]
+    edges = corners - corners.roll(1, 1)
+    area = torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=1)
+    coarse = edges.norm(dim=2).amax(1) > COARSE_EDGE * longest_side(mesh)
+    if float(area[coarse].sum()) > COARSE_SHARE * float(area.sum()):
+        yield _finding(
+            Code.MESH_TOO_COARSE,
+            f"expected triangles that are small enough to follow the silhouette, got {len(mesh.faces)}, most "
+            f"with an edge above {COARSE_EDGE:g} of the object's size; the option subdivide splits them",
         )
 
 

@@ -61,7 +61,7 @@ class RunEvents:
             self._told = now
             self._send(EventType.PROGRESS)
 
-    def succeeded(self, result: values.Result, artifacts: Mapping[str, bytes]) -> Refinement:
+    def succeeded(self, inputs: Inputs, result: values.Result, artifacts: Mapping[str, bytes]) -> Refinement:
         """The end: these files were made."""
         described = [
             Artifact(
@@ -73,7 +73,9 @@ class RunEvents:
             for name, data in artifacts.items()
         ]
         return self._end(
-            state=State.SUCCEEDED, artifacts=described, **dict(judgement_of(result, self._estimate))
+            state=State.SUCCEEDED,
+            artifacts=described,
+            **dict(judgement_of(inputs.mesh_file, result, self._estimate)),
         )
 
     def failed(self, error: RefineError) -> None:

@@ -125,6 +125,7 @@ def read_request(
         more_views=further,
         checks=options.checks,
         symmetry=GivenPlane.of(config),
+        subdivide=options.subdivide,
     )
 
 
@@ -160,7 +161,7 @@ def _refine(
     for warning in result.warnings[len(inputs.warnings) :]:
         display.warn(warning)
     artifacts = make_artifacts(inputs, result, config)
-    return events.succeeded(result, artifacts), artifacts
+    return events.succeeded(inputs, result, artifacts), artifacts
 
 
 def _device(name: str) -> torch.device:

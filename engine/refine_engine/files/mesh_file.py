@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -28,6 +28,7 @@ from .gltf_geometry import SceneGeometry, read_scene, triangle_primitives
 from .limits import MeshLimits, one_line, refused_as
 from .materials import MATTE, Material
 from .polygons import mesh_document, read_polygons
+from .subdivide import subdivided
 from .weld import Floats, Ints, Weld, smooth_groups, vertex_normals, weld
 
 __all__ = ["DEFAULT_LIMITS", "MeshFile", "MeshLimits", "read_mesh"]
@@ -46,6 +47,8 @@ class MeshFile:
     vertex_of_source: (
         Tensor  # (S,) int64: welded vertex of each vertex of the file, -1 where no triangle uses it
     )
+    given_vertices: int  # welded, of the file as it came: its long edges may have been split since
+    given_faces: int
     warnings: tuple[str, ...]
     _document: gltf.Document
     _scene: SceneGeometry
@@ -151,13 +154,18 @@ def _row_number(rows: Ints, width: int) -> Ints:
 
 
 def read_mesh(
-    data: bytes, name: str, limits: MeshLimits = DEFAULT_LIMITS, beside: Beside | None = None
+    data: bytes,
+    name: str,
+    limits: MeshLimits = DEFAULT_LIMITS,
+    beside: Beside | None = None,
+    *,
+    subdivide: bool = False,
 ) -> MeshFile:
     """Read a mesh, points or voxels of any `MeshFormat`, or a ZIP archive of one and the files it refers to.
 
     The format is decided by the content where it can be, else by the suffix of `name`. `beside` gives the
     files that a mesh refers to (buffers, images, materials); without it only embedded data is read.
-    Raises FormatUnsupported or MeshInvalid.
+    With `subdivide` long edges are split, see `subdivided`. Raises FormatUnsupported or MeshInvalid.
     """
     with refused_as(MeshInvalid):
         if (kind := recognise_mesh(data, name)) is MeshFormat.ZIP:
@@ -170,6 +178,22 @@ def read_mesh(
             decompress(document, limits)
         else:
             document = read_polygons(data, kind, limits, beside)
+    read = _read_document(document, kind, limits)
+    finer = subdivided(document, read._scene) if subdivide else None
+    if finer is None:
+        return read
+    split = _read_document(finer, kind, limits)
+    told = f"the mesh was subdivided, from {read.given_vertices} to {split.given_vertices} vertices"
+    return replace(
+        split,
+        given_vertices=read.given_vertices,
+        given_faces=read.given_faces,
+        warnings=(*split.warnings, told),
+    )
+
+
+def _read_document(document: gltf.Document, kind: str, limits: MeshLimits) -> MeshFile:
+    with _malformed(kind):
         scene = read_scene(document, limits)
         overwritable = overwritable_accessors(document, {placement.node for placement in scene.placements})
     positions = scene.world_positions()
@@ -186,6 +210,8 @@ def read_mesh(
     return MeshFile(
         mesh=Mesh(vertices, torch.from_numpy(welded.faces)),
         vertex_of_source=torch.from_numpy(welded.vertex_of),
+        given_vertices=len(welded.source_of),
+        given_faces=len(welded.faces),
         warnings=tuple(warnings),
         _document=document,
         _scene=scene,

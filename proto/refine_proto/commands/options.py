@@ -91,6 +91,12 @@ def add_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
         "--correct-camera", action="store_true", default=None, help="the camera is a few degrees off"
     )
     group.add_argument(
+        "--subdivide",
+        action="store_true",
+        default=None,
+        help="split long edges of a mesh of few vertices",
+    )
+    group.add_argument(
         "--silhouette-threshold", type=float, metavar="T",
         help=f"where soft edges begin, between the image's levels ({_default('silhouette_threshold')})",
     )  # fmt: skip

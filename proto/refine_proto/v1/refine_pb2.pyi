@@ -12,7 +12,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RefinementOptions(_message.Message):
-    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s", "symmetry", "topology", "correct_camera", "checks", "priority", "ignore_grey")
+    __slots__ = ("preset", "iterations", "seed", "symmetry_normal", "symmetry_offset", "silhouette_threshold", "timeout_s", "symmetry", "topology", "correct_camera", "checks", "subdivide", "priority", "ignore_grey")
     class Preset(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PRESET_UNSPECIFIED: _ClassVar[RefinementOptions.Preset]
@@ -72,6 +72,7 @@ class RefinementOptions(_message.Message):
     TOPOLOGY_FIELD_NUMBER: _ClassVar[int]
     CORRECT_CAMERA_FIELD_NUMBER: _ClassVar[int]
     CHECKS_FIELD_NUMBER: _ClassVar[int]
+    SUBDIVIDE_FIELD_NUMBER: _ClassVar[int]
     PRIORITY_FIELD_NUMBER: _ClassVar[int]
     IGNORE_GREY_FIELD_NUMBER: _ClassVar[int]
     preset: RefinementOptions.Preset
@@ -85,9 +86,10 @@ class RefinementOptions(_message.Message):
     topology: RefinementOptions.Topology
     correct_camera: bool
     checks: RefinementOptions.Checks
+    subdivide: bool
     priority: RefinementOptions.Priority
     ignore_grey: int
-    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., symmetry: _Optional[_Union[RefinementOptions.Symmetry, str]] = ..., topology: _Optional[_Union[RefinementOptions.Topology, str]] = ..., correct_camera: bool = ..., checks: _Optional[_Union[RefinementOptions.Checks, str]] = ..., priority: _Optional[_Union[RefinementOptions.Priority, str]] = ..., ignore_grey: _Optional[int] = ...) -> None: ...
+    def __init__(self, preset: _Optional[_Union[RefinementOptions.Preset, str]] = ..., iterations: _Optional[int] = ..., seed: _Optional[int] = ..., symmetry_normal: _Optional[_Iterable[float]] = ..., symmetry_offset: _Optional[float] = ..., silhouette_threshold: _Optional[float] = ..., timeout_s: _Optional[float] = ..., symmetry: _Optional[_Union[RefinementOptions.Symmetry, str]] = ..., topology: _Optional[_Union[RefinementOptions.Topology, str]] = ..., correct_camera: bool = ..., checks: _Optional[_Union[RefinementOptions.Checks, str]] = ..., subdivide: bool = ..., priority: _Optional[_Union[RefinementOptions.Priority, str]] = ..., ignore_grey: _Optional[int] = ...) -> None: ...
 
 class CameraSpec(_message.Message):
     __slots__ = ("look_at", "matrix", "pytorch3d", "network", "estimate")
@@ -301,7 +303,7 @@ class Webhook(_message.Message):
     def __init__(self, url: _Optional[str] = ..., events: _Optional[_Iterable[_Union[Webhook.Event, str]]] = ...) -> None: ...
 
 class Refinement(_message.Message):
-    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction", "camera", "checks", "metadata", "eta_s", "webhook_deliveries")
+    __slots__ = ("id", "state", "options", "progress", "error", "artifacts", "created_at", "started_at", "finished_at", "expires_at", "queue_position", "silhouette_iou", "attempt", "urls", "outcome", "warnings", "mirror_plane", "camera_correction", "camera", "checks", "metadata", "eta_s", "webhook_deliveries", "mesh_counts")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Refinement.State]
@@ -360,6 +362,7 @@ class Refinement(_message.Message):
     METADATA_FIELD_NUMBER: _ClassVar[int]
     ETA_S_FIELD_NUMBER: _ClassVar[int]
     WEBHOOK_DELIVERIES_FIELD_NUMBER: _ClassVar[int]
+    MESH_COUNTS_FIELD_NUMBER: _ClassVar[int]
     id: str
     state: Refinement.State
     options: RefinementOptions
@@ -383,7 +386,8 @@ class Refinement(_message.Message):
     metadata: _containers.ScalarMap[str, str]
     eta_s: float
     webhook_deliveries: _containers.RepeatedCompositeFieldContainer[WebhookDelivery]
-    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ..., camera: _Optional[_Union[CameraEstimate, _Mapping]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., metadata: _Optional[_Mapping[str, str]] = ..., eta_s: _Optional[float] = ..., webhook_deliveries: _Optional[_Iterable[_Union[WebhookDelivery, _Mapping]]] = ...) -> None: ...
+    mesh_counts: MeshCounts
+    def __init__(self, id: _Optional[str] = ..., state: _Optional[_Union[Refinement.State, str]] = ..., options: _Optional[_Union[RefinementOptions, _Mapping]] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., error: _Optional[_Union[ProblemDetails, _Mapping]] = ..., artifacts: _Optional[_Iterable[_Union[Artifact, _Mapping]]] = ..., created_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., started_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., expires_at: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., queue_position: _Optional[int] = ..., silhouette_iou: _Optional[_Union[SilhouetteIou, _Mapping]] = ..., attempt: _Optional[int] = ..., urls: _Optional[_Union[RefinementUrls, _Mapping]] = ..., outcome: _Optional[_Union[Refinement.Outcome, str]] = ..., warnings: _Optional[_Iterable[str]] = ..., mirror_plane: _Optional[_Union[MirrorPlane, _Mapping]] = ..., camera_correction: _Optional[_Union[CameraCorrection, _Mapping]] = ..., camera: _Optional[_Union[CameraEstimate, _Mapping]] = ..., checks: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., metadata: _Optional[_Mapping[str, str]] = ..., eta_s: _Optional[float] = ..., webhook_deliveries: _Optional[_Iterable[_Union[WebhookDelivery, _Mapping]]] = ..., mesh_counts: _Optional[_Union[MeshCounts, _Mapping]] = ...) -> None: ...
 
 class WebhookDelivery(_message.Message):
     __slots__ = ("attempt", "time", "status", "error", "next_attempt_at")
@@ -503,6 +507,26 @@ class CameraAlternative(_message.Message):
     elevation_degrees: float
     mirror_ambiguous: bool
     def __init__(self, camera: _Optional[_Union[CameraSpec, _Mapping]] = ..., silhouette_iou: _Optional[float] = ..., azimuth_degrees: _Optional[float] = ..., elevation_degrees: _Optional[float] = ..., mirror_ambiguous: bool = ...) -> None: ...
+
+class MeshCounts(_message.Message):
+    __slots__ = ("vertices", "faces", "source_vertices", "optimised_vertices", "optimised_faces", "refined_vertices", "refined_faces", "removed_faces")
+    VERTICES_FIELD_NUMBER: _ClassVar[int]
+    FACES_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    OPTIMISED_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    OPTIMISED_FACES_FIELD_NUMBER: _ClassVar[int]
+    REFINED_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    REFINED_FACES_FIELD_NUMBER: _ClassVar[int]
+    REMOVED_FACES_FIELD_NUMBER: _ClassVar[int]
+    vertices: int
+    faces: int
+    source_vertices: int
+    optimised_vertices: int
+    optimised_faces: int
+    refined_vertices: int
+    refined_faces: int
+    removed_faces: int
+    def __init__(self, vertices: _Optional[int] = ..., faces: _Optional[int] = ..., source_vertices: _Optional[int] = ..., optimised_vertices: _Optional[int] = ..., optimised_faces: _Optional[int] = ..., refined_vertices: _Optional[int] = ..., refined_faces: _Optional[int] = ..., removed_faces: _Optional[int] = ...) -> None: ...
 
 class Artifact(_message.Message):
     __slots__ = ("name", "media_type", "size_bytes", "sha256", "url")

@@ -24,9 +24,11 @@ const STATES = {
 /** A sentence about where a refinement is. */
 export const stateWords = (refinement) => (STATES[refinement.state] ?? (() => `It is ${refinement.state}.`))(refinement);
 
+const number = (count) => count.toLocaleString("en");
+
 /** Sentences about what report.json says of a refinement with these options. */
 export function reportWords(report, { preset, seed }) {
-  const { silhouette_iou: iou, outcome, mirror_plane: symmetry, camera_correction: correction, mesh } = report;
+  const { silhouette_iou: iou, outcome, mirror_plane: symmetry, camera_correction: correction, mesh_counts: mesh } = report;
   const told = [];
   if (outcome) told.push(OUTCOMES[outcome] ?? `Outcome: ${outcome}.`);
   told.push(
@@ -43,8 +45,10 @@ export function reportWords(report, { preset, seed }) {
   }
   if (correction) told.push(`The camera was turned by ${short(correction.turn_degrees)}° to fit.`);
   if (mesh) {
-    told.push(`The mesh has ${mesh.vertices.toLocaleString("en")} vertices and ${mesh.faces.toLocaleString("en")} faces.`);
-    if (mesh.removed_faces) told.push(`${mesh.removed_faces.toLocaleString("en")} faces that cover holes of the silhouette were removed.`);
+    told.push(`The mesh has ${number(mesh.vertices)} vertices and ${number(mesh.faces)} faces.`);
+    if (mesh.refined_vertices > mesh.vertices) told.push(`It was subdivided to ${number(mesh.refined_vertices)} vertices.`);
+    if (mesh.optimised_vertices < mesh.vertices) told.push(`One of ${number(mesh.optimised_vertices)} vertices was optimised, and the mesh followed it.`);
+    if (mesh.removed_faces) told.push(`${number(mesh.removed_faces)} faces that cover holes of the silhouette were removed.`);
   }
   if (report.best_iteration > 0 && outcome === "refined") told.push(`The best iterate was number ${report.best_iteration}.`);
   told.push(`It took ${seconds(report.seconds)} on ${report.device}, with preset ${preset} and seed ${seed}.`);

@@ -55,6 +55,16 @@ _REFINEMENT = {
     "silhouette_iou": {"before": 0.71, "after": 0.93},
     "outcome": "refined",
     "mirror_plane": {"normal": [0.0, 0.0, 1.0], "offset": 0.0, "error": 0.012},
+    "mesh_counts": {
+        "vertices": 120_000,
+        "faces": 240_000,
+        "source_vertices": 131_204,
+        "optimised_vertices": 1500,
+        "optimised_faces": 2996,
+        "refined_vertices": 120_000,
+        "refined_faces": 238_912,
+        "removed_faces": 1088,
+    },
     "attempt": 1,
     "urls": {
         "refinement": "/v1/refinements/0f8fad5bd9cb469fa165708677289503",

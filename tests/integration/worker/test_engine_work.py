@@ -164,3 +164,16 @@ def _half_known() -> bytes:
     image = io.BytesIO()
     Image.fromarray(pixels).save(image, "PNG")
     return image.getvalue()
+
+
+def test_a_job_can_ask_for_smaller_triangles(blobs: BlobStore) -> None:
+    cube = "".join(f"v {x} {y} {z}\n" for x in (-0.4, 0.4) for y in (-0.3, 0.3) for z in (-0.4, 0.4))
+    cube += "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
+    blobs.put(keys.input_blob("cube", keys.MESH), cube.encode())
+    blobs.put(keys.input_blob("cube", keys.SILHOUETTE), (SAMPLE / "silhouette.png").read_bytes())
+    refinery = Refinery(blobs, torch.device("cpu"), LIMITS, 10)
+    for subdivide in (False, True):
+        done = refinery.refine(run("cube", subdivide=subdivide), lambda message: None, lambda: False)
+        counts = done.judgement.mesh_counts
+        assert counts is not None
+        assert (counts.vertices, counts.refined_vertices > 500) == (8, subdivide)

