@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import torch
@@ -52,8 +53,12 @@ class Mesh:
         """Lowest and highest corner (3,) of the bounding box of the triangles.
 
         Where fragments stretch it beyond STRAY times what nearly all of the surface spans, they are left
-        out: a crumb far away must not make the object a point.
+        out: a crumb far away must not make the object a point. Found once for a mesh.
         """
+        return self._box
+
+    @cached_property
+    def _box(self) -> tuple[Tensor, Tensor]:
         used = self.vertices[self.faces.unique()]
         low, high = used.amin(0), used.amax(0)
         corners = self.vertices[self.faces].double()
@@ -76,7 +81,9 @@ class Mesh:
         return kept.amin(0), kept.amax(0)
 
     def to(self, device: torch.device | str) -> Mesh:
-        """This mesh on a device."""
+        """This mesh on a device; itself if it is there."""
+        if self.vertices.device == self.faces.device == torch.device(device):
+            return self
         return Mesh(self.vertices.to(device), self.faces.to(device))
 
 

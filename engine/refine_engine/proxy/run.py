@@ -16,7 +16,7 @@ from ..values import Mesh, Progress, Proxy, Result, View
 from .carry import Carrier
 from .decimate import decimate
 
-MANY_VERTICES = 10_000  # above it a proxy is optimised; docs/benchmarks.md says what both cost
+MANY_VERTICES = 5000  # above it a proxy is optimised; docs/benchmarks.md says what both cost
 PROXY_VERTICES = 1500
 
 

@@ -144,3 +144,9 @@ def test_the_box_of_a_mesh_without_strays_is_its_bounding_box(ball: Mesh) -> Non
         low, high = mesh.box()
         assert torch.equal(low, mesh.vertices.amin(0))
         assert torch.equal(high, mesh.vertices.amax(0))
+
+
+def test_the_box_of_a_mesh_is_found_once(ball: Mesh) -> None:
+    """It sorts all triangles, and every picture asks for it."""
+    assert ball.to("cpu") is ball
+    assert ball.box()[0] is ball.box()[0]
