@@ -71,8 +71,10 @@ class ProportionFit:
     """The logarithm's factor: a fit that leaves much of the difference weighs less against the priors."""
     noise: float = 0.1
     """The difference d below which more agreement is worth little."""
-    shape_prior: float = 0.2
-    """On the logarithms of the scales and on the shear."""
+    scale_prior: float = 0.1
+    """On the logarithms of the scales."""
+    shear_prior: float = 0.2
+    """On the shear in the mirror plane, which networks get wrong less often than a scale."""
     thickness_prior: float = 10.0
     """On the shift along the normals: a scale or a place explains most silhouettes as well."""
     translation_prior: float = 0.4

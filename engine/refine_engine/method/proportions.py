@@ -96,7 +96,8 @@ def fit_proportions(
         moved_by = translation * may_move
         vertices = basis.move(coarse + thickness * outward, log_scale, shear, moved_by)
         prior = (
-            fit.shape_prior * (log_scale.square().sum() + shear.square().sum())
+            fit.scale_prior * log_scale.square().sum()
+            + fit.shear_prior * shear.square().sum()
             + fit.thickness_prior * thickness.square().sum()
             + fit.translation_prior * moved_by[:2].square().sum()
             + fit.depth_prior * (forward @ moved_by).square().mean()
