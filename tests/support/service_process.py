@@ -156,8 +156,13 @@ class Hand:
         self.redis = redis
         self.store = WorkerStore(redis, settings)
         self.blobs = BlobStore(settings.blob_location)
+        self._queue = f"rq:queue:{keys.queue('default')}"
 
     def start(self, refinement_id: str) -> Job:
+        """Take it out of RQ's list, as RQ's worker would, and claim it."""
+        for delivery in self.redis.lrange(self._queue, 0, -1):
+            if str(delivery).rpartition("-")[0] == refinement_id:
+                self.redis.lrem(self._queue, 0, str(delivery))
         job = self.store.claim(refinement_id, "slot-0")
         assert job is not None
         return job
@@ -193,13 +198,11 @@ class Hand:
         """Inside, a thread takes every question in front of the queue and does `act`; the jobs it took."""
         taken: list[Job] = []
         over = threading.Event()
-        queue = f"rq:queue:{keys.queue('default')}"
 
         def work() -> None:
             while not over.wait(0.02):
-                front = str(self.redis.lindex(queue, 0) or "").rpartition("-")[0]
+                front = str(self.redis.lindex(self._queue, 0) or "").rpartition("-")[0]
                 if self.redis.hget(keys.JOB + front, "task") not in (None, Task.REFINE):
-                    self.redis.lpop(queue)
                     taken.append(self.start(front))
                     act(taken[-1])
 

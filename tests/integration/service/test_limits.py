@@ -66,7 +66,7 @@ def test_an_endless_body_is_cut_off(service: Service) -> None:
     sent = 0
     with socket.create_connection((address[0], int(address[1])), timeout=30) as connection:
         connection.sendall(
-            b"POST /v1/refinements HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n"
+            b"POST /v1/refinements HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n"
             b"Content-Type: multipart/form-data; boundary=b\r\n\r\n" + b"%x\r\n%s\r\n" % (len(HEAD), HEAD)
         )
         try:
@@ -143,7 +143,7 @@ def test_an_upload_that_stalls_is_ended(service: Service, redis: Redis) -> None:
     address = service.rest_url.removeprefix("http://").split(":")
     with socket.create_connection((address[0], int(address[1])), timeout=30) as connection:
         connection.sendall(
-            b"POST /v1/refinements HTTP/1.1\r\nHost: x\r\nContent-Length: 1000\r\n"
+            b"POST /v1/refinements HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n"
             b"Content-Type: multipart/form-data; boundary=b\r\n\r\n" + HEAD
         )
         answer = b"".join(iter(lambda: connection.recv(65536), b""))
