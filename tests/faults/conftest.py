@@ -21,8 +21,9 @@ def redis_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture
 def workplace(redis_server: str, tmp_path: Path) -> Iterator[Workplace]:
-    """That no other test uses."""
+    """That no other test uses. Nothing is left of other tests' jobs, which any worker's reaper would take up."""
     place = Workplace(redis_server, tmp_path / "data", pool=tmp_path.name.replace("_", "-").lower())
+    place.redis.flushall()
     yield place
     place.redis.close()
 

@@ -121,7 +121,7 @@ def test_the_command(folder: Path) -> None:
 
     assert run("add", "eve", "--scope", "read", "--expires-days", "30").returncode == 0
     line = run("list").stdout.splitlines()[-1]
-    assert "eve  read  until " in line
+    assert "eve  read  normal  until " in line
     assert run("rotate", line.split()[0], "--overlap-hours", "1").stdout.startswith("refine_")
     assert len([line for line in run("list").stdout.splitlines() if "eve  read" in line]) == 2
     assert run("rotate", "nobody").returncode == 1

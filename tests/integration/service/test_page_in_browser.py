@@ -175,7 +175,7 @@ def test_files_are_dropped_anywhere_and_sorted_by_their_names(page: Page) -> Non
         expect(page.locator(f".drop[data-kind={kind}]")).to_contain_text(name)
     assert page.get_by_role("spinbutton", name="Azimuth").input_value() == "30"
     expect(page.locator("[data-error=files]")).to_have_text(
-        "notes.txt: expected a mesh, a PNG or a camera as JSON"
+        "notes.txt: expected a mesh, an image or a camera as JSON"
     )
 
 
