@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from redis import Redis
@@ -74,6 +75,12 @@ class Delivery:
 def delivery_id(job_id: str, attempt: int) -> str:
     """RQ's id of the delivery that starts `attempt`."""
     return f"{job_id}-{attempt}"
+
+
+@cache
+def delivery_of(pool: str) -> Delivery:
+    """That of a pool: whoever gives back or withdraws a job need not be of the pool that it is for."""
+    return Delivery(pool)
 
 
 def worker_queue(connection: Any, pool: str) -> Queue:

@@ -32,7 +32,7 @@ from refine_proto.lists import RefinementFilter
 from refine_proto.models import Event, FieldError, Refinement, RefinementPage, RefinementSpec, State
 
 from . import keys
-from .delivery import Delivery
+from .delivery import delivery_of
 from .durable import Durable
 from .feed import EventFeed
 from .load import LOAD_VALUES, ask_load, read_load
@@ -62,7 +62,7 @@ class JobStore:
     def __init__(self, redis: Redis, settings: JobSettings, clock: Clock | None = None) -> None:
         self._redis: Any = redis  # redis-py's types cannot say that it decodes responses
         self._settings = settings
-        self._delivery = Delivery(settings.pool)
+        self._delivery = delivery_of(settings.pool)
         self.feed = EventFeed(redis, self._find)
         self._scripts = Scripts(redis, clock)
         self._durable = Durable(redis) if settings.sync_submissions else None
@@ -119,6 +119,7 @@ class JobStore:
             {
                 "spec": spec,
                 "task": submission.task,
+                "pool": settings.pool,
                 **vars(Share.of(submission)),
                 "mesh": submission.mesh,
                 "silhouette": submission.silhouette,
@@ -242,7 +243,7 @@ class JobStore:
         """Queued: cancelled at once; running: cancelling; otherwise unchanged."""
         job = await self._job(owner, job_id)
         retention_ms = int(self._settings.retention_s * 1000)
-        withdraw = self._delivery.withdraw(job_id, job.attempt + 1)
+        withdraw = delivery_of(job.pool or self._settings.pool).withdraw(job_id, job.attempt + 1)
         await self._scripts.run("cancel", job_id, retention_ms, *withdraw)
         return await self.get(owner, job_id)
 
@@ -265,7 +266,7 @@ class JobStore:
     async def delete(self, owner: str, job_id: str) -> None:
         """Remove the record now and the blobs soon; raises Conflict while a worker has the job."""
         job = await self._job(owner, job_id)
-        withdraw = self._delivery.withdraw(job_id, job.attempt + 1)
+        withdraw = delivery_of(job.pool or self._settings.pool).withdraw(job_id, job.attempt + 1)
         outcome = await self._scripts.run("delete", job_id, *withdraw)
         if outcome == "held":
             raise Conflict(

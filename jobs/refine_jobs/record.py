@@ -88,6 +88,7 @@ class Job(BaseModel):
     mesh: Blob
     silhouette: Blob
     task: Task = Task.REFINE
+    pool: str | None = None  # whose workers it is for; None: of a former version
     more_files: Mapping[str, Blob] = {}
     created_at: datetime
     expires_at: datetime

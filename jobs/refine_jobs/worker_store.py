@@ -16,7 +16,7 @@ from refine_proto.errors import RefineError, WorkerLost
 from refine_proto.models import Artifact, Finding, Judgement, Progress, State
 
 from . import keys
-from .delivery import Delivery, delivery_id
+from .delivery import delivery_id, delivery_of
 from .record import Job, encode, pairs, to_json
 from .scripts import Clock, Scripts
 from .settings import JobSettings
@@ -33,7 +33,7 @@ class WorkerStore:
     def __init__(self, redis: Redis, settings: JobSettings, clock: Clock | None = None) -> None:
         self._redis: Any = redis  # redis-py's types cannot say that it decodes responses
         self._settings = settings
-        self._delivery = Delivery(settings.pool)
+        self._delivery = delivery_of(settings.pool)
         self._clock = clock
         self._scripts = Scripts(redis, clock)
 
@@ -120,15 +120,18 @@ class WorkerStore:
         return taken
 
     def requeue_missing(self) -> list[str]:
-        """Enqueue again the queued jobs that RQ has not known for keys.MISSING_S; their ids."""
+        """Enqueue again this pool's queued jobs that RQ has not known for keys.MISSING_S; their ids."""
         known = set(self._redis.lrange(self._delivery.queue.key, 0, -1))
         queued = self._redis.zrange(keys.QUEUED, 0, -1)
         with self._redis.pipeline(transaction=False) as pipe:
             for job_id in queued:
-                pipe.hget(keys.JOB + job_id, "attempt")
-            attempts = [int(attempt or 0) for attempt in pipe.execute()]
-        deliveries = [delivery_id(job_id, n + 1) for job_id, n in zip(queued, attempts, strict=True)]
-        missing = [job_id for job_id, d in zip(queued, deliveries, strict=True) if d not in known]
+                pipe.hmget(keys.JOB + job_id, "attempt", "pool")
+            found = pipe.execute()
+        missing = [
+            job_id
+            for job_id, (attempt, pool) in zip(queued, found, strict=True)
+            if pool in (None, self._settings.pool) and delivery_id(job_id, int(attempt or 0) + 1) not in known
+        ]
         return [
             job.id
             for job in self._jobs(missing)
@@ -216,7 +219,7 @@ class WorkerStore:
         return state
 
     def _enqueue(self, job: Job) -> list[Any]:
-        return self._delivery.enqueue(job.id, job.attempt + 1, job.timeout_s)
+        return delivery_of(job.pool or self._settings.pool).enqueue(job.id, job.attempt + 1, job.timeout_s)
 
     def _due(self, key: str, age_s: int = 0) -> list[str]:
         until = self._now_ms() - age_s * 1000

@@ -21,9 +21,8 @@ def redis_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture
 def workplace(redis_server: str, tmp_path: Path) -> Iterator[Workplace]:
-    """That no other test uses. Jobs of other tests are gone: any worker's reaper would take them up."""
+    """That no other test uses."""
     place = Workplace(redis_server, tmp_path / "data", pool=tmp_path.name.replace("_", "-").lower())
-    place.redis.flushall()
     yield place
     place.redis.close()
 

@@ -27,7 +27,7 @@ LONG = 10_000  # iterations; nobody waits for their end
 @pytest.fixture
 def worker(start_worker: StartWorker, workplace: Workplace) -> Iterator[Worker]:
     """Of one slot, which is replaced soon when it hangs."""
-    with start_worker(workplace, slot_timeout_s="6") as worker:
+    with start_worker(workplace, slot_timeout_s="3") as worker:
         yield worker
 
 

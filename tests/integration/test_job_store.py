@@ -266,6 +266,29 @@ def test_a_job_that_rq_forgot_is_enqueued_again(jobs: Jobs) -> None:
     asyncio.run(scenario())
 
 
+def test_jobs_stay_in_their_pool_whoever_reaps_or_cancels_them(jobs: Jobs) -> None:
+    other = jobs.with_settings(pool="other")
+
+    def listed(pool: str) -> list[str]:
+        return jobs.redis.lrange(f"rq:queue:refine-{pool}", 0, -1)  # type: ignore[return-value]
+
+    async def scenario() -> None:
+        async with jobs.edge() as store:
+            lost, waiting = [(await jobs.submit(store)).refinement.id for _ in range(2)]
+        assert jobs.worker.claim(lost, "slot-0")
+        jobs.redis.lrem("rq:queue:refine-default", 0, f"{lost}-1")  # as RQ's worker does
+        jobs.end_lease(lost)
+        jobs.redis.hset(keys.MISSING, waiting, "1")
+        reaped = reap(other.worker, jobs.blobs)
+        assert (reaped.taken_back, reaped.requeued) == (((lost, State.QUEUED),), ())
+        assert (listed("default"), listed("other")) == ([f"{lost}-2", f"{waiting}-1"], [])
+        async with other.edge() as store:
+            await store.cancel("ann", waiting)
+        assert listed("default") == [f"{lost}-2"]
+
+    asyncio.run(scenario())
+
+
 def test_given_back_jobs_run_elsewhere_and_lose_nothing(jobs: Jobs) -> None:
     """Only a slot that was lost counts against the attempts of a job."""
     jobs = jobs.with_settings(max_attempts=2)

@@ -29,12 +29,11 @@ def workplace(redis_server: str, tmp_path_factory: pytest.TempPathFactory) -> It
 
 
 @pytest.fixture
-def own_workplace(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
-    """A Redis and a blob folder that no other test uses: a reaper takes up the lost jobs of all pools."""
-    with EmbeddedRedis(tmp_path_factory.mktemp("redis")) as server:
-        place = Workplace(server.url, tmp_path)
-        yield place
-        place.redis.close()
+def own_workplace(redis_server: str, tmp_path: Path) -> Iterator[Workplace]:
+    """A queue and a blob folder that no other test uses."""
+    place = Workplace(redis_server, tmp_path, pool=tmp_path.name.replace("_", "-").lower())
+    yield place
+    place.redis.close()
 
 
 @pytest.fixture(scope="session")
