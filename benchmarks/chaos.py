@@ -40,24 +40,8 @@ from refine_bench.ledger import Ledger, Verdict
 from refine_client import RefineClient, RetryPolicy
 from refine_jobs.embedded import find_server
 from refine_proto.errors import RefineError
+from refine_worker.engine.warm_up import OCTAHEDRON
 
-OCTAHEDRON = b"""OFF
-6 8 0
-0.4 0 0
--0.4 0 0
-0 0.4 0
-0 -0.4 0
-0 0 0.4
-0 0 -0.4
-3 0 2 4
-3 2 1 4
-3 1 3 4
-3 3 0 4
-3 2 0 5
-3 1 2 5
-3 3 1 5
-3 0 3 5
-"""
 CAMERA = {"type": "look_at", "azimuth_degrees": 30, "elevation_degrees": 20, "distance": 1.6}
 SETTINGS = {  # of an operator in a hurry: what is tested is whether, not when
     "REFINE_LEASE_S": "4",

@@ -11,8 +11,9 @@ from refine_proto.webhook_messages import WebhookInvalid, WebhookMessage, verify
 
 from .aio import AsyncRefineClient
 from .cases import Case, read_cases
-from .client import RefineClient, Refined
+from .client import RefineClient
 from .errors import ConnectionLost, DownloadCorrupt
+from .refined import Refined
 from .retry import RetryPolicy
 from .upload import View
 

@@ -33,10 +33,10 @@ from refine_proto.tracing import call_span
 
 from .address import Connection
 from .cases import Case, folder_of
-from .client import AT_ONCE, PAGE, Refined, ignore
 from .errors import error_of
 from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
+from .refined import AT_ONCE, PAGE, Refined, tell_nobody
 from .retry import Retries, RetryPolicy
 from .transports.base import make_async_transport
 from .upload import Source, View, make_upload, to_estimate
@@ -249,7 +249,7 @@ class AsyncRefineClient:
         free = asyncio.Semaphore(at_once)
 
         async def one(number: int, case: Case) -> Refined | RefineError | OSError:
-            tell = partial(progress, number) if progress is not None else ignore
+            tell = partial(progress, number) if progress is not None else tell_nobody
             async with free:
                 try:
                     refinement = await self.submit(**case.arguments(), idempotency_key=f"{key}/{number}")

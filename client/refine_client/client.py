@@ -9,7 +9,6 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import closing, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -39,21 +38,12 @@ from .cases import Case, folder_of
 from .errors import error_of
 from .follow import Follow
 from .partial_file import PartialFile, choose_artifacts
+from .refined import AT_ONCE, PAGE, Refined, tell_nobody
 from .retry import Retries, RetryPolicy
 from .transports.base import make_transport
 from .upload import Source, View, make_upload, to_estimate
 
 T = TypeVar("T")
-PAGE = 100  # the longest
-AT_ONCE = 8  # cases
-
-
-@dataclass(frozen=True)
-class Refined:
-    """What `refine` returns: the succeeded refinement, and its artifacts on disk by name."""
-
-    refinement: Refinement
-    files: Mapping[str, Path]
 
 
 class RefineClient:
@@ -336,7 +326,7 @@ class RefineClient:
         stopped = threading.Event()
 
         def one(number: int, case: Case) -> Refined | RefineError | OSError:
-            tell = partial(progress, number) if progress is not None else ignore
+            tell = partial(progress, number) if progress is not None else tell_nobody
             try:
                 refinement = self.submit(**case.arguments(), idempotency_key=f"{key}/{number}")
                 on_their_way.add(refinement.id)
@@ -416,7 +406,3 @@ class RefineClient:
                     return file.finish()
                 except Busy as error:
                     time.sleep(retries.delay_s(error))
-
-
-def ignore(event: Event) -> None:
-    """Nobody wants to know."""

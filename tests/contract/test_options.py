@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from refine_engine.contract import config_of
 from refine_engine.errors import OptionsInvalid
 from refine_engine.method.presets import MAX_ITERATIONS, PRESETS, make_config
-from refine_proto.models import Preset, RefinementOptions, Symmetry, Topology
+from refine_jobs.share import estimated_cost_ms
+from refine_proto.models import Preset, RefinementOptions, RefinementSpec, Symmetry, Topology
 
 
 def test_presets_are_the_engines() -> None:
@@ -71,3 +72,14 @@ def test_both_refuse_the_same(options: dict[str, Any]) -> None:
         RefinementOptions.model_validate(options)
     with pytest.raises(OptionsInvalid):
         make_config(**options)
+
+
+@pytest.mark.parametrize("preset", Preset)
+def test_a_jobs_cost_is_estimated_from_the_engines_iterations(preset: Preset) -> None:
+    def cost(iterations: int | None) -> int:
+        options = {"preset": preset, "iterations": iterations}
+        spec = {"camera": {"type": "estimate"}, "options": options}
+        return estimated_cost_ms(RefinementSpec.model_validate(spec), 20_000)
+
+    assert cost(None) == cost(make_config(preset).iterations)
+    assert cost(None) != cost(make_config(preset).iterations + 10)

@@ -12,7 +12,7 @@ from refine_proto.errors import RefineError
 from refine_proto.models import Event, EventType, Refinement
 
 from ..cases import read_cases
-from ..client import AT_ONCE, Refined
+from ..refined import AT_ONCE, Refined
 from .server_command import connect, make_parser
 
 EXAMPLE = """\

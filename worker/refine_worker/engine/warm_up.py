@@ -14,7 +14,7 @@ from refine_engine.request import read_inputs
 from refine_proto.cameras import LookAtCamera
 
 _ITERATIONS = EAGER_RUNS + 1  # so that one is recorded on a card
-_OCTAHEDRON = b"""OFF
+OCTAHEDRON = b"""OFF
 6 8 0
 0.4 0 0
 -0.4 0 0
@@ -48,6 +48,6 @@ def warm_up(device: torch.device, preset: str) -> None:
     silhouette = io.BytesIO()
     image.save(silhouette, "PNG")
     camera = LookAtCamera(azimuth_degrees=30, elevation_degrees=20, distance=1.6)
-    inputs = read_inputs(_OCTAHEDRON, "octahedron.off", silhouette.getvalue(), camera)
+    inputs = read_inputs(OCTAHEDRON, "octahedron.off", silhouette.getvalue(), camera)
     config = make_config(preset, _ITERATIONS)
     make_artifacts(inputs, inputs.refine(config, device), config)
